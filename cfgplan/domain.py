@@ -157,7 +157,8 @@ def _following(transformation: Transformation, facts: Mapping[str, Fact]) -> Tra
         fact = facts.get(contribution.by.fact) if contribution.by is not None else None
         if contribution.by is None or fact is None or isinstance(fact.value, bool | str):
             return contribution
-        return replace(contribution, value=contribution.by.at(fact.value), seen=0).taught(contribution.seen)
+        plain = replace(contribution, value=contribution.by.at(fact.value), seen=0, seen_on=())
+        return plain.taught(contribution.learned)
 
     outputs = (replace(port, quality=tuple(map(stated, port.quality))) for port in transformation.outputs)
     return replace(transformation, outputs=tuple(outputs))
@@ -514,17 +515,26 @@ class Environment:
     def with_qualities(self, seen: Mapping[Statement, int]) -> Environment:
         """The environment with the learned qualities of outputs; an output without any keeps its stated one.
 
-        `seen` is by how much each output's own contribution differs from the stated one, in micro-units.
+        `seen` is by how much each output's own contribution differs from the stated one, in micro-units; on the
+        statement's host, or without one, on all hosts that no statement has.
         """
+        learned: dict[Statement, dict[str | None, int]] = {}
+        for one, by in seen.items():
+            learned.setdefault(one._replace(host=None), {})[one.host] = by
         touched = {one.transformation for one in seen} | self.taught.keys()
-        changed = {t.label: as_taught(t, seen) for t in self.library if t.label in touched}
+        changed = {t.label: as_taught(t, learned) for t in self.library if t.label in touched}
         return replace(self, library=tuple(changed.get(t.label, t) for t in self.library)) if changed else self
 
     def stated(self, statement: Statement) -> Contribution | None:
-        """The contribution that an output states to a quality attribute; None if it, or the output, does not exist."""
+        """Return the contribution of an output to a quality attribute, on the statement's host; None if it does not
+        exist, or the output, or the host.
+        """
         transformation = self.transformation.get(statement.transformation)
         port = None if transformation is None else transformation.output.get(statement.output)
-        return next((each for each in port.quality if each.attribute == statement.attribute), None) if port else None
+        if port is None or (statement.host is not None and statement.host not in self.host):
+            return None
+        found = next((each for each in port.quality if each.attribute == statement.attribute), None)
+        return None if found is None else found.on(statement.host)
 
     @cached_property
     def observable(self) -> tuple[Statement, ...]:
@@ -555,10 +565,10 @@ class Environment:
         """The statements with a value learned from streams, by their transformation; other statements are missing."""
         found = {
             t.label: tuple(
-                Statement(t.label, port.name, each.attribute)
+                Statement(t.label, port.name, each.attribute, host)
                 for port in t.outputs
                 for each in port.quality
-                if each.seen
+                for host in each.learned
             )
             for t in self.library
         }

@@ -228,7 +228,7 @@ def _value(
             else _come(environment, units, attribute, feed, values.get(feed, attribute.worst), unit.host)
             for feed in feeds
         ]
-        stated = {c.attribute: c for c in transformation.output[stream.port].quality}
+        stated = {c.attribute: c.on(unit.host) for c in transformation.output[stream.port].quality}
         values[stream] = propagated(attribute, stated.get(attribute.name), inputs)
         ahead.pop()
     return values[wanted]

@@ -4,7 +4,8 @@ An output's own part deviates from the stated value by a normally distributed am
 deviation TRUST of the stated value (of its logarithm where the rule is `scale`). If a stream deviates from its
 prediction, the parts between it and the nearest streams upstream that say how good they are share the deviation in
 proportion to their variances (an extended Kalman filter with a diagonal covariance). A part that is not observed any
-more fades to the stated value.
+more fades to the stated value. Units of a transformation on one host share an estimate; on a host where none was
+observed, the stated value counts.
 
 A part keeps its estimate if the deviation can't be attributed: behind the better of two inputs whose qualities do not
 differ significantly, behind a factor on an input near 0, and at the ends of the scale.
@@ -12,7 +13,7 @@ differ significantly, behind a factor on an input near 0, and at the ends of the
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from graphlib import CycleError, TopologicalSorter
@@ -188,14 +189,14 @@ def planned_deviations(
     before: Mapping[Statement, int],
     at_s: float,
     *,
-    fading: Container[str] = (),
+    fades: Callable[[Statement], bool] = lambda _: False,
     only_sure: bool = False,
 ) -> dict[Statement, int]:
     """Return the deviations of outputs from their stated values that plans use (see `Environment.with_qualities`).
 
     A deviation that was returned `before` is kept until it is wrong by more than NEWS of the value, and with
     `only_sure` also by more than NEWS_ERRORS standard errors of the part. If an output is not observed any more, its
-    deviation is kept, or becomes the faded estimate if its transformation is among the `fading` ones.
+    deviation is kept, or becomes the faded estimate if it `fades`.
     """
     found: dict[Statement, int] = {}
     for statement, known in estimates.items():
@@ -204,7 +205,7 @@ def planned_deviations(
             continue
         value, error = own_part(stated, known, at_s)
         seen, was = round(value) - stated.stated, before.get(statement, 0)
-        may_change = statement.transformation in fading or at_s - known.seen_s <= MEMORY_S
+        may_change = fades(statement) or at_s - known.seen_s <= MEMORY_S
         least = max(NEWS * abs(stated.stated + was), NEWS_ERRORS * error if only_sure else 0.0)
         if kept := (seen if may_change and abs(seen - was) > least else was):
             found[statement] = kept
@@ -366,7 +367,7 @@ class _Parts:
         transformation = self._environment.transformation[unit.transformation]
         port = transformation.output[stream.port]
         stated = next((each for each in port.quality if each.attribute == attribute.name), None)
-        part = Statement(unit.transformation, port.name, attribute.name)
+        part = Statement(unit.transformation, port.name, attribute.name, unit.host)
         self._trail.add(stream)
         try:
             inputs = self._inputs(unit, attribute)
@@ -422,7 +423,7 @@ class _Parts:
         ordinary = [port.name for port in environment.transformation[unit.transformation].inputs if not port.feedback]
         for stream in (stream for name in ordinary for stream in unit.feeds.get(name, ())):
             provider = environment.unit.get(stream.unit)
-            if provider is None or provider.transformation not in environment.transformation or stream in self._trail:
+            if provider is None or not _is_known(environment, provider) or stream in self._trail:
                 return None
             sample = self._samples.get((stream, attribute.name))
             known = (
@@ -474,9 +475,15 @@ def _kept(attribute: QualityAttribute, predicted: _Predicted) -> _Predicted:
     return _Predicted(min(max(predicted.value, low), high))
 
 
+def _is_known(environment: Environment, unit: ComputationUnit) -> bool:
+    """Whether the environment has the transformation and the host of a unit."""
+    is_there = unit.host is None or unit.host in environment.host
+    return is_there and unit.transformation in environment.transformation
+
+
 def _feeders_first(environment: Environment) -> list[ComputationUnit]:
-    """The units of known transformations, each after its feeders; units in a cycle, or fed by one, are left out."""
-    known = {unit.id: unit for unit in environment.units if unit.transformation in environment.transformation}
+    """The known units, each after its feeders; units in a cycle, or fed by one, are left out."""
+    known = {unit.id: unit for unit in environment.units if _is_known(environment, unit)}
     sorter: TopologicalSorter[str] = TopologicalSorter()
     for unit in known.values():
         ports = environment.transformation[unit.transformation].input

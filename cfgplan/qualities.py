@@ -214,6 +214,7 @@ class Contribution:
     `by` is the curve. `observe` names the field of an element that gives the element's own quality, in units of the
     attribute, or what a run measures: `measured.` and one of MEASURES, or what a topic of ROS tells beside the
     stream: see `told`. `seen` is the part of `value` that was learned from observed streams; the rest is `stated`.
+    `seen_on` has the part learned on each host where it was observed, in micro-units; see `on`.
     """
 
     attribute: str
@@ -231,6 +232,7 @@ class Contribution:
         ),
     ] = None
     seen: Annotated[int, FOUND] = 0
+    seen_on: Annotated[tuple[tuple[str, int], ...], FOUND] = ()
 
     def __post_init__(self) -> None:
         if self.measured is not None and self.measured not in MEASURES:
@@ -285,12 +287,29 @@ class Contribution:
         """The own value without what observed streams have taught."""
         return self.value - self.seen
 
-    def taught(self, seen: int) -> Contribution:
-        """The contribution whose value differs by so much from the stated one, as far as the rule allows."""
+    @property
+    def learned(self) -> Mapping[str | None, int]:
+        """The part learned from observed streams by host, in micro-units; for None, that of all other hosts."""
+        return {None: self.seen, **dict(self.seen_on)} if self.seen else dict(self.seen_on)
+
+    def on(self, host: str | None) -> Contribution:
+        """Return the contribution of a unit on a host: its value there, where one was learned."""
+        if not self.seen_on:
+            return self
+        seen = dict(self.seen_on).get(host or "", self.seen)
+        return replace(self, value=self.stated + seen, seen=seen, seen_on=())
+
+    def taught(self, learned: Mapping[str | None, int]) -> Contribution:
+        """Return the contribution whose values differ from the stated one by what was learned, as far as the rule
+        allows; see `learned`.
+        """
         largest = LARGEST_FACTOR if self.rule is QualityRule.SCALE else LARGEST_QUALITY
         least = -LARGEST_QUALITY if self.rule is QualityRule.ADD else 0
-        value = min(max(self.stated + seen, least), largest)
-        return replace(self, value=value, seen=value - self.stated)
+        stated = self.stated
+        allowed = {host: min(max(stated + seen, least), largest) - stated for host, seen in learned.items()}
+        seen = allowed.pop(None, 0)
+        seen_on = tuple(sorted((host, by) for host, by in allowed.items() if host is not None and by != seen))
+        return replace(self, value=stated + seen, seen=seen, seen_on=seen_on)
 
 
 @dataclass(frozen=True, slots=True, order=True)

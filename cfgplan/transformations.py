@@ -623,23 +623,27 @@ def running_fields(transformation: Transformation) -> tuple[object, ...]:
 
 
 class Statement(NamedTuple):
-    """The place where an output states a quality attribute."""
+    """The place where an output states a quality attribute; with a `host`, for units on this host."""
 
     transformation: str
     output: str
     attribute: str
+    host: str | None = None
 
     def __str__(self) -> str:
-        return f"{self.transformation}/{self.output} {self.attribute}"
+        where = f" on {self.host}" if self.host is not None else ""
+        return f"{self.transformation}/{self.output} {self.attribute}{where}"
 
 
-def as_taught(transformation: Transformation, seen: Mapping[Statement, int]) -> Transformation:
-    """The transformation as observed streams have taught it."""
+def as_taught(transformation: Transformation, learned: Mapping[Statement, Mapping[str | None, int]]) -> Transformation:
+    """Return the transformation as observed streams have taught it: by statement without a host, what was learned on
+    each host.
+    """
     outputs = (
         replace(
             port,
             quality=tuple(
-                each.taught(seen.get(Statement(transformation.label, port.name, each.attribute), 0))
+                each.taught(learned.get(Statement(transformation.label, port.name, each.attribute), {}))
                 for each in port.quality
             ),
         )

@@ -310,6 +310,19 @@ def test_a_link_adds_its_latency_to_what_it_carries_to_inputs_and_targets(where:
     assert rules(replace(late, targets=(replace(TARGET, quality=(wish,)),))) == set()
 
 
+@pytest.mark.parametrize(("seen_on", "reached"), [({"base": 50_000}, 100_000), ({"robot": 20_000}, 110_000)])
+def test_a_stream_has_the_quality_that_was_learned_on_the_host_of_its_unit(
+    seen_on: dict[str | None, int], reached: int
+) -> None:
+    (output,) = CAMERA.outputs
+    taught = replace(CAMERA, outputs=(replace(output, quality=tuple(each.taught(seen_on) for each in output.quality)),))
+    after = replace(VALID, library=tuple(taught if t.label == CAMERA.label else t for t in VALID.library))
+    assert qualities_of_targets(after, after.units) == {"ball": {"error": reached}}
+    wishes = [replace(TARGET.quality[0], bound=reached - by) for by in (0, 1)]
+    met, missed = (rules(replace(after, targets=(replace(TARGET, quality=(wish,)),))) for wish in wishes)
+    assert (met, missed) == (set(), {Broken.QUALITY})
+
+
 def test_a_link_adds_to_an_attribute_of_which_less_is_better() -> None:
     with pytest.raises(InvalidValueError, match="names the attribute"):
         Link(("robot", "base"), latency=1)

@@ -82,7 +82,8 @@ def own(environment: Environment, label: str, samples: Mapping[tuple[Stream, str
     """The own part of an output by what samples teach, in units."""
     seen = taught(environment, samples)
     stated = environment.transformation[label].output["out"].quality[0]
-    return stated.taught(seen.get(Statement(label, "out", "error"), 0)).value / MICRO
+    host = environment.unit[label].host
+    return stated.taught({host: seen.get(Statement(label, "out", "error", host), 0)}).on(host).value / MICRO
 
 
 def taught(environment: Environment, samples: Mapping[tuple[Stream, str], Sample]) -> dict[Statement, int]:
@@ -121,6 +122,26 @@ def test_a_limit_that_does_not_bind_is_drawn_in_to_the_output_and_not_beyond() -
     assert own(declared_too_bad, "t", says(g0=1.0, t=1.0)) == pytest.approx(1.0, rel=1e-2)
     declared_better = fan(QualityRule.LIMIT, 0.5, 1.0)
     assert own(declared_better, "t", says(g0=1.0, t=1.0)) == 0.5
+
+
+def test_units_of_a_transformation_on_two_hosts_have_estimates_of_their_own() -> None:
+    g, hosts = provider("g", 1.0), (Host("a"), Host("b"))
+    units = tuple(ComputationUnit(f"g{host.name}", "g", host=host.name) for host in hosts)
+    environment = Environment(units, (g,), (), hosts=hosts, qualities=(ERROR,))
+    known = taught(environment, says(ga=3.0, gb=0.5))
+    parts = {one.host: round(by / MICRO, 2) for one, by in known.items()}
+    assert parts == {"a": 2.0, "b": -0.5}
+    after = environment.with_qualities(known)
+    values = {host: after.stated(Statement("g", "out", "error", host)) for host in ("a", "b")}
+    assert {host: stated and round(stated.value / MICRO, 2) for host, stated in values.items()} == {"a": 3.0, "b": 0.5}
+    assert environment.with_qualities(known).as_declared == environment
+    assert {str(one) for one in known} == {"g/out error on a", "g/out error on b"}
+
+
+def test_a_unit_on_a_host_that_the_world_has_no_more_teaches_nothing() -> None:
+    environment = world((provider("g", 1.0), unit("g")))
+    environment = replace(environment, units=(replace(unit("g"), host="gone"),), hosts=(Host("a"),))
+    assert taught(environment, says(g=3.0)) == {}
 
 
 def test_unobserved_parts_share_a_difference_by_their_variances() -> None:
@@ -206,7 +227,7 @@ def test_what_is_not_observed_any_more_fades_to_what_is_declared() -> None:
     environment = world((provider("g", 1.0), unit("g")))
     estimates = learned(environment, says(g=3.0), {}, 0.0).estimates
     values = [
-        planned_deviations(environment, estimates, {}, at_s, fading={one.transformation for one in estimates})
+        planned_deviations(environment, estimates, {}, at_s, fades=lambda _: True)
         for at_s in (0.0, MEMORY_S, MEMORY_S + FORGET_S, 20 * FORGET_S)
     ]
     statement = Statement("g", "out", "error")

@@ -436,7 +436,7 @@ def field_faults(world: api.World) -> Iterator[Fault]:
 
     path = world.file.path
     for one in faults_of(world.environment, path if path.is_dir() else path.parent):
-        label, port, attribute = one.statement
+        label, port, attribute, _ = one.statement
         at = world.file.place(transformation=label, port=port) or Place(str(path), 1, 1)
         message = f"{label}/{port} can't report its {attribute} in field `{one.field}`: {one.cause}"
         yield Fault(message, at.file, at.line, at.column, mend="correct `observe`")

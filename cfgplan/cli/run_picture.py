@@ -70,10 +70,12 @@ def observed_text(state: Mapping[str, Any]) -> RenderableType:
         return Text("No fact is declared, and no output reports its quality (`observe:`).")
     parts: list[RenderableType] = [Text(f"Facts: {', '.join(_facts(state))}.")] if state["facts"] else []
     if state["qualities"]:
-        table = Table("output", "quality", "declared", "planned", "observed", "error", "ago", box=None)
+        where = ["host"] if any("host" in one for one in state["qualities"]) else []
+        table = Table("output", *where, "quality", "declared", "planned", "observed", "error", "ago", box=None)
         for one in state["qualities"]:
             figures = (f"{one[key]:.4g}" for key in ("declared", "planned", "estimate", "error"))
-            table.add_row(one["output"], one["attribute"], *figures, span(one["ago_s"]))
+            there = [one.get(key, "") for key in where]
+            table.add_row(one["output"], *there, one["attribute"], *figures, span(one["ago_s"]))
         parts.append(table)
     return Group(*parts)
 

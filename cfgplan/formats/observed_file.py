@@ -36,6 +36,7 @@ class QualityPart(_ObservedPart):
 
     output: str = Field(description="transformation/port")
     attribute: str
+    host: str | None = Field(default=None, description="where it was learned; absent: without hosts, or on all others")
     declared: Any = Field(default=None, description="what the environment file says")
     planned: Any = Field(description="what plans go by")
     estimate: Any = Field(default=None, description="the mean of what is known now")
@@ -105,8 +106,12 @@ def _qualities(
     for index, one in enumerate(part.qualities):
         place = ("qualities", index)
         label, _, port = one.output.rpartition("/")
-        statement = Statement(label, port, one.attribute)
+        statement = Statement(label, port, one.attribute, one.host)
         stated = environment.stated(statement)
+        if one.host is not None and one.host not in environment.host:
+            mend = did_you_mean(one.host, environment.host, _ANEW)
+            faults.append(source.fault((*place, "host"), f"the environment has no host `{one.host}`", mend))
+            continue
         if stated is None:
             faults.append(source.fault((*place, "output"), f"the environment states no {statement}", _ANEW))
             continue
@@ -115,7 +120,7 @@ def _qualities(
             continue
         try:
             planned = _micro_units(one.planned)
-            replace(stated, value=planned, seen=0)  # raises if the rule does not allow the value
+            replace(stated, value=planned, seen=0, seen_on=())  # raises if the rule does not allow the value
             found[statement] = planned - stated.stated
         except InvalidValueError as error:
             faults.append(source.fault((*place, "planned"), str(error), _ANEW))

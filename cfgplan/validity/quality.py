@@ -84,6 +84,6 @@ def _values(
         feeds = [feed for name in ordinary for feed in unit.feeds.get(name, gap[name])]
         inputs = [come(feed, unit.host) for feed in feeds]
         for port in transformation.outputs:
-            stated = {contribution.attribute: contribution for contribution in port.quality}
+            stated = {contribution.attribute: contribution.on(unit.host) for contribution in port.quality}
             values[Stream(unit.id, port.name)] = propagated(attribute, stated.get(attribute.name), inputs)
     return values

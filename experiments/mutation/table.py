@@ -331,8 +331,14 @@ MODEL = _room(
     (
         "a value is as good as it likes",
         "quality.py",
-        "cp.add(by * sent >= made).only_enforce_if([taken, *held, *so])",
+        "cp.add(by * sent >= made).only_enforce_if([taken, *held, *there, *so])",
         "pass",
+    ),
+    (
+        "a unit is on each host as bad as on the worst",
+        "quality.py",
+        "yield [on[hosts[0]]] if len(hosts) == 1 < len(there) else there, (value, hosts)",
+        "yield [], (value, hosts)",
     ),
     (
         "units that stay get what wired ones get",

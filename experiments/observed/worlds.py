@@ -1,6 +1,7 @@
 """Check plans with facts, facts of hosts and observed qualities in random worlds.
 
-A world has facts of the world and of hosts, transformations that require them, and outputs that report their quality.
+A world has facts of the world and of hosts, transformations that require them, and outputs that report their quality,
+which is another on each host.
 A run (the real manager, with simulated units) gets values of facts and elements of streams. Its next review is
 compared with `solve --observed` of the file that `ctl observed --out` writes, with the plan of the same world without
 facts, in which each transformation lists the hosts that the present facts allow, and with the oracle. The judge
@@ -106,9 +107,11 @@ class Lived:
     def __init__(self, seed: int) -> None:
         self.chance = random.Random(seed)
         self.world = api.world(drawn(self.chance), horizon_s=HORIZON_S)
-        errors = {t.label: self.chance.uniform(0.05, 1.0) for t in self.world.environment.library}
+        hosts, labels = self.world.environment.host, [t.label for t in self.world.environment.library]
+        units = [f"{label} on {host}" for label in labels for host in hosts] or labels
+        errors = {unit: self.chance.uniform(0.05, 1.0) for unit in units}
         says = any(t.outputs[0].quality for t in self.world.environment.library)
-        behaviours = {label: self._saying(error) if says else Behaviour() for label, error in errors.items()}
+        behaviours = {unit: self._saying(error) if says else Behaviour() for unit, error in errors.items()}
         self.runtime = SimulatedRuntime(behaviours=behaviours)
         policy = Policy(look_every_s=None)
         self.manager = Manager(self.world, self.runtime, clock=self.runtime.clock, policy=policy)
@@ -183,6 +186,7 @@ def compared(worlds: range) -> tuple[Counter[str], list[str]]:
                 "with some left out": snapshot.left_out,
                 "with some barred from hosts": snapshot.barred,
                 "with other qualities": any(each.planned != each.stated for each in snapshot.qualities),
+                "with qualities of hosts": any(each.host is not None for each in snapshot.qualities),
             }
             counts.update(kind for kind, is_so in kinds.items() if is_so)
     return counts, found

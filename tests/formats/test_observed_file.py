@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from cfgplan.domain import Environment, OutputPort, Statement, Transformation
+from cfgplan.domain import Environment, Host, OutputPort, Statement, Transformation
 from cfgplan.errors import InputError
 from cfgplan.facts import Fact
 from cfgplan.formats.observed_file import read_observed
@@ -29,8 +30,23 @@ def read(tmp_path: Path, qualities: str, *, environment: Environment = ENVIRONME
     return read_observed(path, environment)
 
 
-def part(planned: str, attribute: str = "error") -> str:
-    return f'{{"output": "sonar/p", "attribute": "{attribute}", "planned": {planned}}}'
+def part(planned: str, attribute: str = "error", host: str | None = None) -> str:
+    there = "" if host is None else f', "host": "{host}"'
+    return f'{{"output": "sonar/p", "attribute": "{attribute}", "planned": {planned}{there}}}'
+
+
+def test_a_quality_with_a_host_is_used_there_only(tmp_path: Path) -> None:
+    fleet = replace(ENVIRONMENT, hosts=(Host("r1"), Host("r2")))
+    environment = read(tmp_path, part("0.5", host="r1"), environment=fleet)
+    there = {host: environment.stated(Statement("sonar", "p", "error", host)) for host in (None, "r1", "r2")}
+    assert {host: stated and stated.value for host, stated in there.items()} == {
+        None: 200_000,
+        "r1": 500_000,
+        "r2": 200_000,
+    }
+    everywhere = read(tmp_path, f"{part('0.5', host='r1')}, {part('0.3')}", environment=fleet)
+    there = {host: everywhere.stated(Statement("sonar", "p", "error", host)) for host in ("r1", "r2")}
+    assert {host: stated and stated.value for host, stated in there.items()} == {"r1": 500_000, "r2": 300_000}
 
 
 def used(environment: Environment, attribute: str = "error") -> int:
@@ -58,6 +74,7 @@ def test_what_is_planned_is_used(tmp_path: Path, planned: str, value: int) -> No
         (part("20", "gain"), "is out of range"),
         (f"{part('0.3')}, {part('0.9')}", "is there twice"),
         (part("0.3", "weight"), "states no sonar/p weight"),
+        (part("0.3", host="r3"), "has no host `r3`"),
     ],
 )
 def test_wrong_contents_have_a_place_and_a_mend(tmp_path: Path, qualities: str, message: str) -> None:

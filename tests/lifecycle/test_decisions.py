@@ -172,7 +172,9 @@ def test_the_first_review_plans_updates_and_is_put_on_record() -> None:
 def test_a_look_is_put_off_by_what_happens_while_it_is_planned() -> None:
     """A death is answered first; the look is due again as soon as nothing waits, since none has begun."""
     looking = replace(stable(), doing=Planning(2, 1.0, 1.0, 0.0, world(), plans=1))
-    look = Looked(("work",), (), findings(running=RUNNING, change_set=ChangeSet(started=(replace(WORK, id="work.2"),))))
+    look = Looked(
+        (Place("work"),), (), findings(running=RUNNING, change_set=ChangeSet(started=(replace(WORK, id="work.2"),)))
+    )
     _, effects = after(looking, 1.5, look)
     assert found(effects, ApplyUpdate)
     state, effects = after(looking, 1.5, UnitDied("work.1", "killed"), look)

@@ -11,4 +11,5 @@ def test_plans_of_random_worlds_are_those_of_the_same_worlds_written_out_and_of_
     counts, differences = compared(WORLDS)
     assert differences == []
     assert counts["worlds"] == len(WORLDS)
-    assert all(counts[kind] for kind in ("with units", "with some left out", "with some barred from hosts"))
+    kinds = ("with units", "with some left out", "with some barred from hosts", "with qualities of hosts")
+    assert all(counts[kind] for kind in kinds)

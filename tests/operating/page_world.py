@@ -79,7 +79,9 @@ def building(units: int, second: int = 0) -> Snapshot:
         ChangeSet(started=tuple(running)), tuple(target.label for target in targets),
         seconds={"plan": 0.02, "apply": 0.1},
     )  # fmt: skip
-    learned = QualityView("comfort(room0)", "index", "error", 200_000, 510_000, 500_000 + 1000 * second, 20_000, 0.4)
+    learned = QualityView(
+        "comfort(room0)", "index", "error", None, 200_000, 510_000, 500_000 + 1000 * second, 20_000, 0.4
+    )
     return replace(
         SNAPSHOT,
         environment=Environment(tuple(running), library, hosts=tuple(map(Host, HOSTS))),

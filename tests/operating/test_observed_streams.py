@@ -36,6 +36,7 @@ qualities:
 transformations:
   - label: sonar
     source: units.py:sonar
+    {place}
     params: {{folder: "{folder}"}}
     run: {{rate: 50}}
     labor: 0.1
@@ -54,11 +55,11 @@ targets:
 HOSTS = "hosts: [{name: r1}, {name: r2}]"
 
 
-def write(folder: Path, more: str = "", units: str = UNITS) -> Path:
+def write(folder: Path, more: str = "", units: str = UNITS, place: str = "") -> Path:
     (folder / "units.py").write_text(units)
     (folder / "water").write_text("0.2")
     path = folder / "env.yaml"
-    path.write_text(ENVIRONMENT.format(folder=folder, more=more))
+    path.write_text(ENVIRONMENT.format(folder=folder, more=more, place=f"host: {place}" if place else ""))
     return path
 
 
@@ -68,7 +69,7 @@ def said(*arguments: object) -> str:
 
 @pytest.mark.parametrize("more", ["", HOSTS], ids=["one computer", "hosts"])
 def test_a_stream_that_says_it_is_worse_than_its_bound_is_replaced_and_solve_agrees(tmp_path: Path, more: str) -> None:
-    env, observed = write(tmp_path, more), tmp_path / "observed.json"
+    env, observed = write(tmp_path, more, place="r1" if more else ""), tmp_path / "observed.json"
     with running(env, *(["--local"] if more else [])) as process:
         run = await_event(process, "Running")["run"]
         of_run = ("--run", run)
@@ -88,6 +89,37 @@ def test_a_stream_that_says_it_is_worse_than_its_bound_is_replaced_and_solve_agr
     assert solved["qualities"] == planned["qualities"]
     before = json.loads(said("solve", env, "--json"))
     assert [unit["transformation"] for unit in before["change_set"]["started"]] == ["sonar"]
+
+
+BY_HOST = UNITS.replace(
+    "def sonar(folder):\n",
+    "def sonar(folder):\n    first = Path(folder) / 'first'\n    is_clean = first.exists()\n    first.touch()\n",
+).replace("float(water.read_text() or 0.2)", "0.2 if is_clean else float(water.read_text() or 0.2)")
+"""The sonar that runs first gets dirty; one on the other host stays clean."""
+
+
+def test_a_unit_with_a_dirty_sonar_is_replaced_by_one_on_the_other_host_and_solve_agrees(tmp_path: Path) -> None:
+    env, observed = write(tmp_path, HOSTS, BY_HOST), tmp_path / "observed.json"
+    with running(env, "--local") as process:
+        of_run = ("--run", (await_event(process, "Running"))["run"])
+        (first,) = (await_event(process, "Reviewed", decision="applied"))["change_set"]["started"]
+        eventually(lambda: json.loads(said("ctl", *of_run, "observed", "--json"))["qualities"])
+        (tmp_path / "water").write_text("0.8")
+        (second,) = (await_event(process, "Reviewed", decision="applied"))["change_set"]["started"]
+        assert (first["transformation"], second["transformation"]) == ("sonar", "sonar")
+        assert {first["host"], second["host"]} == {"r1", "r2"}
+        eventually(lambda: len(json.loads(said("ctl", *of_run, "observed", "--json"))["qualities"]) == 2)
+        said("ctl", *of_run, "observed", "--out", observed)
+        shown = said("ctl", *of_run, "observed")
+        explained = said("explain", env, "--observed", observed)
+    known = {one["host"]: one for one in json.loads(observed.read_text())["qualities"]}
+    assert known[first["host"]]["planned"] > 0.5
+    assert known[second["host"]]["planned"] == pytest.approx(0.2, rel=0.06)
+    assert shown.split()[:3] == ["output", "host", "quality"]
+    assert f"sonar/p error on {first['host']} {known[first['host']]['planned']:g}" in explained
+    solved = json.loads(said("solve", env, "--observed", observed, "--json"))
+    assert [unit["host"] for unit in solved["change_set"]["started"]] == [second["host"]]
+    assert list(solved["qualities"]) == [f"sonar/p error on {first['host']}"]
 
 
 def test_a_value_without_the_field_is_told_once_with_output_and_field(tmp_path: Path) -> None:
@@ -163,6 +195,7 @@ transformations:
   - {{label: source, source: "units.py:source", run: {{rate: 50}}, labor: 0.1, upkeep: 0.001, outputs: {{n: N}}}}
   - label: fast
     source: units.py:Fast
+    {place}
     params: {{folder: "{folder}", does: {does}}}
     run: {{queue: 1000}}
     labor: 0.1
@@ -196,7 +229,10 @@ def test_a_stream_that_is_measured_to_be_worse_than_its_bound_is_replaced(
     """Nothing in the elements says it: the worker becomes slow, or gives a tenth of what it gave."""
     env = write(tmp_path, units=MEASURED)
     (tmp_path / "water").write_text("0")
-    env.write_text(MEASURED_ENVIRONMENT.format(folder=tmp_path, does=does, quality=quality, bound=bound, more=more))
+    place = "host: r1" if more else ""
+    env.write_text(
+        MEASURED_ENVIRONMENT.format(folder=tmp_path, does=does, quality=quality, bound=bound, more=more, place=place)
+    )
     with running(env, *(["--local"] if more else [])) as process:
         run = await_event(process, "Running")["run"]
         await_event(process, "Reviewed", decision="applied")

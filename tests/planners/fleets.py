@@ -46,6 +46,7 @@ LINKS = st.builds(
     st.sampled_from([None, 0, 1, 400_000, 1_500_000]),
 )
 VALUES = st.sampled_from([0, 1, 2, 3, 5, 8])
+LEARNED = st.sampled_from([-3, -1, 1, 4, -MICRO // 3, MICRO // 2])
 FACTORS = st.sampled_from([0, MICRO // 3, MICRO // 2, MICRO, 3 * MICRO // 2])
 
 
@@ -129,7 +130,9 @@ def transformations(
             if draw(st.sampled_from([True, True, True, False])):
                 rule = draw(st.sampled_from(QualityRule))
                 value = draw(FACTORS if rule is QualityRule.SCALE else VALUES)
-                stated.append(Contribution(attribute.name, rule, value, draw(st.sampled_from(Over))))
+                contribution = Contribution(attribute.name, rule, value, draw(st.sampled_from(Over)))
+                there = st.sampled_from([host.name for host in hosts] or [None])
+                stated.append(contribution.taught(draw(st.dictionaries(there, LEARNED, max_size=2))))
         rate, size = (
             (draw(st.sampled_from([0, MICRO, 2_500_000])), draw(st.sampled_from([0, 1, 3]))) if hosts else (0, 0)
         )

@@ -333,7 +333,9 @@ class PlainModel:
             ]
             is_worst = self.bool()
             self.cp.add(value[i, output] == worst).only_enforce_if(is_worst)
-            self._follow(attribute, stated, value[i, output], [self.runs[i], ~is_worst], inputs)
+            for host, on in self.on[i].items():
+                there = None if stated is None else stated.on(host)
+                self._follow(attribute, there, value[i, output], [on, ~is_worst], inputs)
         for target, wish in asked:
             comes = self.cp.new_int_var(best, worst, "")
             for (label, j, output), publishes in self.publishes.items():

@@ -593,6 +593,20 @@ def test_quality_is_that_of_the_stream_on_its_host(model: type[Hubs]) -> None:
 
 
 @every_model
+@pytest.mark.parametrize("learned", [{"h0": 20}, {"h0": 20, "h2": 30}, {None: 20, "h1": 0, "h2": 30}])
+def test_quality_is_as_learned_on_the_host_of_the_unit(model: type[Hubs], learned: dict[str | None, int]) -> None:
+    """The source is worse than declared, but not on h1."""
+    stated = states(10)
+    output = replace(stated, quality=tuple(each.taught(learned) for each in stated.quality))
+    library = (kind("s", gives="A", output=output), kind("f", "A", "B", output=states(5, QualityRule.ADD)))
+    targets = (Target("B", "B", "/B", quality=(Wish("q", 15),)),)
+    fixed = model(world(targets, *library, qualities=(LOW,), hosts=(*TWO, Host("h2"))))
+    assert fixed.allows(on("s.1", "h1"), on("f.1", "h0"))
+    assert not fixed.allows(on("s.1", "h0"))
+    assert fixed.allows(on("s.1", "h2")) is ("h2" not in learned)
+
+
+@every_model
 def test_a_unit_that_stays_has_the_quality_of_the_stream_that_it_keeps(model: type[Hubs]) -> None:
     library: tuple[Transformation, ...] = (
         kind("s", gives="A", output=states(50)),

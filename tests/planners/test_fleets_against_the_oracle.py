@@ -100,6 +100,14 @@ def test_hosts_equal_the_oracle(problem: Problem) -> None:
     agree(problem)
 
 
+@examples(60)
+@given(fleets(frozenset({Feature.QUALITY, Feature.HOSTS}), most=2))
+def test_quality_learned_on_some_hosts_equals_the_oracle(problem: Problem) -> None:
+    environment = problem.environment
+    assume(any(one.host for some in environment.taught.values() for one in some))
+    agree(problem)
+
+
 @some
 @given(fleets(frozenset({Feature.CONFLICTS, Feature.INSTANCES})))
 def test_conflicts_and_instances_equal_the_oracle(problem: Problem) -> None:

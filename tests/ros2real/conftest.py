@@ -66,15 +66,27 @@ def surroundings(domain: int, tmp_path_factory: pytest.TempPathFactory, monkeypa
 
 @pytest.fixture(scope="session")
 def composition(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of the package `composition_interfaces`, which is made once for a venv."""
+    """The folder of the package `composition_interfaces`."""
+    return _made("composition_interfaces", tmp_path_factory)
+
+
+@pytest.fixture
+def statistics(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The package `statistics_msgs` for all processes of the test."""
+    folder = _made("statistics_msgs", tmp_path_factory)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")]))
+
+
+def _made(package: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a package that no wheel has; it is made once for a venv."""
     if shutil.which("g++") is None:
-        pytest.skip("there is no g++ to compile composition_interfaces")
-    script = Path(__file__).with_name("making_composition.py")
-    folder = VENV / "cfgplan-tests" / hashlib.sha256(script.read_bytes()).hexdigest()[:12]
+        pytest.skip(f"there is no g++ to compile {package}")
+    script = Path(__file__).with_name("making_package.py")
+    folder = VENV / "cfgplan-tests" / hashlib.sha256(script.read_bytes()).hexdigest()[:12] / package
     if not folder.exists():
         made = tmp_path_factory.mktemp("made")
-        subprocess.run([PYTHON, script, made], check=True, capture_output=True, text=True)
-        folder.parent.mkdir(exist_ok=True)
+        subprocess.run([PYTHON, script, package, made], check=True, capture_output=True, text=True)
+        folder.parent.mkdir(exist_ok=True, parents=True)
         shutil.move(made, folder)
     return folder
 

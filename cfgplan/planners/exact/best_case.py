@@ -6,13 +6,13 @@ run. A stream that misses every bound even then is of no use anywhere.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator
+from collections.abc import Collection, Hashable, Iterator
 from dataclasses import dataclass
 from itertools import chain
 
 from cfgplan.domain import InputPort, OutputPort, Stream, Transformation
 from cfgplan.onward import grouped, reached
-from cfgplan.planners.exact.candidates import ONLY_IN_THE_MODEL, Candidate, Candidates
+from cfgplan.planners.exact.candidates import ONLY_IN_THE_MODEL, Candidate, Candidates, HostName
 from cfgplan.qualities import MICRO, Contribution, Over, QualityAttribute, QualityRule, price_us, propagated
 
 Demand = tuple[Stream, ...]
@@ -97,7 +97,8 @@ def _least_badness(candidates: Candidates, attribute: QualityAttribute) -> dict[
             if len(fed) < len(ordinary[i]) or not candidate.may_run:
                 continue
             for port in candidate.transformation.outputs:
-                made = attribute.badness(propagated(attribute, stated_of(port, attribute), fed))
+                stated = stated_of(port, attribute, candidate.hosts)
+                made = attribute.badness(propagated(attribute, stated, fed))
                 stream = Stream(candidate.id, port.name)
                 if made < least.get(stream, made + 1):
                     least[stream] = made
@@ -126,9 +127,13 @@ class OutputRule:
     alone: int
 
     @classmethod
-    def of(cls, attribute: QualityAttribute, transformation: Transformation, port: OutputPort) -> OutputRule:
-        """The rule by which an output of a transformation derives its badness from the inputs that count."""
-        stated = stated_of(port, attribute)
+    def of(
+        cls, attribute: QualityAttribute, transformation: Transformation, port: OutputPort, hosts: Collection[HostName]
+    ) -> OutputRule:
+        """The rule by which an output of a transformation derives its badness from the inputs that count, on the best
+        of some hosts.
+        """
+        stated = stated_of(port, attribute, hosts)
         inputs = tuple(port for port in transformation.inputs if not port.feedback)
         own = attribute.scale if stated is None else attribute.badness(stated.value)
         alone = min(max(own, 0), attribute.scale)
@@ -152,9 +157,12 @@ class OutputRule:
         return min(max(badness - self.shift // MICRO, 0), worst)
 
 
-def stated_of(port: OutputPort, attribute: QualityAttribute) -> Contribution | None:
-    """The statement of an output about an attribute."""
-    return next((c for c in port.quality if c.attribute == attribute.name), None)
+def stated_of(port: OutputPort, attribute: QualityAttribute, hosts: Collection[HostName]) -> Contribution | None:
+    """The statement of an output about an attribute, on the host among some where its value is best."""
+    stated = next((c for c in port.quality if c.attribute == attribute.name), None)
+    if stated is None or not stated.seen_on:
+        return stated
+    return min((stated.on(host) for host in hosts), key=lambda each: attribute.sign * each.value, default=stated)
 
 
 def _demands(candidates: Candidates) -> dict[str, list[str]]:
@@ -187,8 +195,9 @@ def _most_badness(candidates: Candidates, attribute: QualityAttribute) -> dict[s
             allow(port.tag, attribute.scale)
     demands = _demands(candidates)
     fed = [
-        (demands[output.tag], OutputRule.of(attribute, t, output), t.inputs)
-        for t in (candidate.transformation for candidate in candidates.all)
+        (demands[output.tag], OutputRule.of(attribute, t, output, candidate.hosts), t.inputs)
+        for candidate in candidates.all
+        for t in [candidate.transformation]
         for output in t.outputs
         if output.tag in demands and t.inputs
     ]
@@ -213,12 +222,12 @@ def demands_of_quality(candidates: Candidates) -> dict[Demand, bool]:
     or in a cycle of demands with a stream better than its inputs: the best stream may then depend on the consumer's
     own.
     """
-    environment = candidates.environment
+    environment, hosts = candidates.environment, tuple(candidates.environment.host)
     asked = sorted({wish.attribute for target in environment.targets for wish in target.quality})
     counting = {name: _where_it_counts(candidates, environment.quality[name]) for name in asked}
     found = {demand: sum(demand in these for these in counting.values()) > 1 for demand in chain(*counting.values())}
     better = {
-        name: [label for label, t in candidates.kinds.items() if _may_be_better_than_its_inputs(attribute, t)]
+        name: [label for label, t in candidates.kinds.items() if _may_be_better_than_its_inputs(attribute, t, hosts)]
         for name in asked
         for attribute in [environment.quality[name]]
         if not all(found[demand] for demand in counting[name])
@@ -236,7 +245,7 @@ def _where_it_counts(candidates: Candidates, attribute: QualityAttribute) -> set
     def made_of(tag: str) -> Iterator[str]:
         for stream in candidates.streams(tag):
             t = candidates.kinds[candidates.label_of(stream)]
-            stated = stated_of(t.output[stream.port], attribute)
+            stated = stated_of(t.output[stream.port], attribute, ())
             if stated is None or stated.rule is not QualityRule.SET:
                 yield from (port.tag for port in t.inputs if not port.feedback)
 
@@ -245,8 +254,8 @@ def _where_it_counts(candidates: Candidates, attribute: QualityAttribute) -> set
     return {candidates.streams(tag) for tag in reached(asking, made_of)}
 
 
-def _may_be_better_than_its_inputs(attribute: QualityAttribute, of: Transformation) -> bool:
-    """Whether some output may be better than the worst of its inputs."""
+def _may_be_better_than_its_inputs(attribute: QualityAttribute, of: Transformation, hosts: Collection[str]) -> bool:
+    """Whether some output may be better than the worst of its inputs, on one of some hosts."""
     is_joined = sum(not port.feedback for port in of.inputs) > 1
     neutral = {QualityRule.ADD: 0, QualityRule.SCALE: MICRO}
     no_better = {Over.WORST, Over.SUM} if attribute.sign > 0 else {Over.WORST}
@@ -254,7 +263,7 @@ def _may_be_better_than_its_inputs(attribute: QualityAttribute, of: Transformati
         stated.rule is QualityRule.SET
         or attribute.is_better(stated.value, neutral.get(stated.rule, stated.value))
         or (is_joined and stated.over not in no_better)
-        for stated in (stated_of(port, attribute) for port in of.outputs)
+        for stated in (stated_of(port, attribute, hosts) for port in of.outputs)
         if stated is not None
     )
 

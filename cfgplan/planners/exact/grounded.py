@@ -177,7 +177,7 @@ class Grounded:
             if attribute is not None:
                 from cfgplan.planners.exact.best_case import stated_of
 
-                value = propagated(attribute, stated_of(port, attribute), inputs)
+                value = propagated(attribute, stated_of(port, attribute, candidate.hosts), inputs)
                 key = attribute.sign * value
             self._value[stream] = value
             heappush(self._ahead, (key, next(self._number), stream))

@@ -181,8 +181,9 @@ class _Badness:
             if delay is not None:
                 cp.add(badness - delay >= least).only_enforce_if([taken, *held])
             sent = badness if delay is None else badness - delay
-            for by, made, so in self._made(stream):
-                cp.add(by * sent >= made).only_enforce_if([taken, *held, *so])
+            for there, variant in self._variants(stream):
+                for by, made, so in self._made(stream, variant):
+                    cp.add(by * sent >= made).only_enforce_if([taken, *held, *there, *so])
         cp.add(badness >= self.model.total(terms))  # implied, but what the linear relaxation needs
 
     def _delay(self, where: Hashable, stream: Stream) -> IntVar | None:
@@ -204,21 +205,33 @@ class _Badness:
             model.cp.add(delay >= by).only_enforce_if([made_on[one], *wanted[other]])
         return delay
 
-    def _made(self, stream: Stream) -> Iterator[tuple[int, LinearExprT, list[LiteralT]]]:
-        """The lower bound of a stream's number times another one, under some literals."""
+    def _variants(self, stream: Stream) -> Iterator[tuple[list[LiteralT], tuple[int, list[HostName]]]]:
+        """The own values of a running stream's output with their hosts, and the literals that it is on one of these."""
+        from cfgplan.planners.exact.quality_numbers import variants_of
+
+        unit = self.model.unit_of(stream)
+        on, transformation = self.model.runs_on[unit], self.model.candidates.all[unit].transformation
+        for value, hosts in variants_of(transformation.output[stream.port], self.attribute, on).items():
+            there: list[LiteralT] = [on[host].negated() for host in on if host not in hosts]
+            yield [on[hosts[0]]] if len(hosts) == 1 < len(there) else there, (value, hosts)
+
+    def _made(
+        self, stream: Stream, variant: tuple[int, list[HostName]]
+    ) -> Iterator[tuple[int, LinearExprT, list[LiteralT]]]:
+        """The lower bound of a stream's number times another one, under some literals, on the hosts of a variant."""
         from cfgplan.planners.exact.best_case import OutputRule
         from cfgplan.planners.exact.quality_numbers import most_together
 
         model, numbers, unit = self.model, self.numbers, self.model.unit_of(stream)
-        transformation = model.candidates.all[unit].transformation
-        making = OutputRule.of(self.attribute, transformation, transformation.output[stream.port])
+        transformation, (value, hosts) = model.candidates.all[unit].transformation, variant
+        making = OutputRule.of(self.attribute, transformation, transformation.output[stream.port], hosts)
         yield 1, numbers.at_least(making.least), []
         found = [one for port in making.inputs for one in self._counted(unit, port)]
         if making.inputs and all(so for _, so in found):
             yield 1, numbers.at_least(making.alone), [~counts for _, so in found for counts in so]
         if not found:
             return
-        images = numbers.images[transformation.label, stream.port]
+        images = numbers.images[transformation.label, stream.port, value]
         common = gcd(making.gain * numbers.step, MICRO * numbers.step, making.shift)
         gain, by = making.gain * numbers.step // common, MICRO * numbers.step // common
         shift_to = {span: making.shift // common - by * numbers.offset(image) for span, image in images.items()}

@@ -17,9 +17,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from cfgplan.domain import Stream, Transformation
+from cfgplan.domain import Stream
 from cfgplan.planners.exact.best_case import OutputRule, demands_of_quality, least_badness, most_badness
-from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.candidates import Candidate, Candidates
 from cfgplan.planners.networks.core import Flags, Ints
 from cfgplan.planners.solving.arrays import np
 from cfgplan.planning import Feature
@@ -72,12 +72,14 @@ class Chains:
         self.starts = np.searchsorted(self.pair_demand, np.arange(len(tags)))
         self.ends = np.append(self.starts[1:], len(pairs))
         self.best = np.minimum.reduceat(self.least[self.pair_stream], self.starts) if pairs else np.zeros(0, np.int64)
-        self._know_rules([candidates.all[i].transformation for i in self.unit.tolist()], streams)
+        self._know_rules([candidates.all[i] for i in self.unit.tolist()], streams)
 
-    def _know_rules(self, makers: list[Transformation], streams: list[Stream]) -> None:
+    def _know_rules(self, makers: list[Candidate], streams: list[Stream]) -> None:
         """Store each stream's quality rule as arrays: its inputs, their combination, gain and shift."""
-        each = self.clock.each(zip(makers, streams, strict=True))
-        making = [OutputRule.of(self.attribute, maker, maker.output[stream.port]) for maker, stream in each]
+        making = [
+            OutputRule.of(self.attribute, maker.transformation, maker.transformation.output[stream.port], maker.hosts)
+            for maker, stream in self.clock.each(zip(makers, streams, strict=True))
+        ]
         inputs = [[self.demand.get(port.tag, len(self.demand)) for port in one.inputs] for one in making]
         width = max((len(row) for row in inputs), default=0) or 1
         self.inputs = np.array([row + [-1] * (width - len(row)) for row in inputs], np.int64).reshape(-1, width)

@@ -15,15 +15,16 @@ from itertools import pairwise
 from math import ceil, floor, gcd
 from typing import Final
 
-from cfgplan.domain import ALL, InputPort
-from cfgplan.planners.exact.best_case import OutputRule
-from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.domain import ALL, InputPort, OutputPort
+from cfgplan.onward import grouped
+from cfgplan.planners.exact.best_case import OutputRule, stated_of
+from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.qualities import MICRO, Over, QualityAttribute, QualityRule
 
 Span = tuple[int, int]
 """The least and the largest of some integers; any between may be there."""
-Output = tuple[str, str]
-"""A transformation's label and the name of an output port."""
+Output = tuple[str, str, int]
+"""A transformation's label, the name of an output port, and its own value on some hosts (0 if it states none)."""
 
 LEAST_SKIP: Final = 2**24
 """A shorter range is not skipped: variables of that size are harmless, a boolean for each side is not."""
@@ -76,6 +77,16 @@ class Numbers:
             if low <= steps:
                 found = first + min(high, steps) - low
         return found
+
+
+def variants_of(
+    port: OutputPort, attribute: QualityAttribute, hosts: Iterable[HostName]
+) -> Mapping[int, list[HostName]]:
+    """Return the own values of an output on some hosts, each with its hosts; 0 if it states none."""
+    stated = stated_of(port, attribute, ())
+    if stated is None or not stated.seen_on:
+        return {0 if stated is None else stated.value: [*hosts]}
+    return grouped((stated.on(host).value, host) for host in hosts)
 
 
 def most_together(candidates: Candidates, making: OutputRule) -> int:
@@ -141,18 +152,23 @@ class _Values:
         late = [link.latency for link in candidates.environment.links if link.adds == attribute.name]
         self._delay = max(late, default=0)
         self.step = _step(candidates, attribute, late)
-        self.makers = {
-            (label, port.name): self._maker(label, port.name)
+        self._variants = {
+            (label, port.name): variants_of(port, attribute, candidates.environment.host or (None,))
             for label, transformation in candidates.kinds.items()
             for port in transformation.outputs
+        }
+        self.makers = {
+            (label, port, value): self._maker(label, port, hosts)
+            for (label, port), variants in self._variants.items()
+            for value, hosts in variants.items()
         }
         self.of: dict[Output, tuple[Span, ...]] = {}
         for labels in self._rings():
             self._know(labels)
 
-    def _maker(self, label: str, port: str) -> _Maker:
+    def _maker(self, label: str, port: str, hosts: Collection[HostName]) -> _Maker:
         transformation, best = self.candidates.kinds[label], self.low
-        making = OutputRule.of(self.attribute, transformation, transformation.output[port])
+        making = OutputRule.of(self.attribute, transformation, transformation.output[port], hosts)
         add = (making.shift + best * (MICRO - making.gain)) // MICRO
         most = most_together(self.candidates, making) if making.over in (Over.MEAN, Over.SUM) else 1
         times = most if making.over is Over.SUM else 1
@@ -160,8 +176,8 @@ class _Values:
         return _Maker(making.inputs, making.gain, add, least, alone, max(times, 1), most > 1)
 
     def _providers(self, tag: str) -> dict[Output, None]:
-        streams = self.candidates.streams(tag)
-        return dict.fromkeys((self.candidates.label_of(stream), stream.port) for stream in streams)
+        outputs = ((self.candidates.label_of(stream), stream.port) for stream in self.candidates.streams(tag))
+        return {(*output, value): None for output in outputs for value in self._variants[output]}
 
     def _rings(self) -> Iterator[list[str]]:
         """The transformations, those together that may feed each other, after all that may feed them."""
@@ -172,7 +188,7 @@ class _Values:
         for label, transformation in self.candidates.clock.each(self.candidates.kinds.items()):
             for tag in {port.tag for port in transformation.inputs if not port.feedback}:
                 if (1, tag) not in graph:
-                    graph.add_edges_from(((0, provider), (1, tag)) for provider, _ in self._providers(tag))
+                    graph.add_edges_from(((0, provider), (1, tag)) for provider, _, _ in self._providers(tag))
                 graph.add_edge((1, tag), (0, label))
         cycles = condensation(graph)
         for cycle in topological_sort(cycles):
@@ -205,7 +221,7 @@ class _Values:
         growth = Fraction(1)
         is_added_up = all(maker.gain == MICRO and not maker.is_joined for maker in makers.values() if maker.inputs)
         for label, number in units.items():
-            theirs = [maker for (of, _), maker in makers.items() if of == label and maker.inputs]
+            theirs = [maker for (of, _, _), maker in makers.items() if of == label and maker.inputs]
             rounded = 0 if is_added_up else self.step
             up += number * (max([0, *(maker.add for maker in theirs)]) + self._delay + rounded)
             down += number * max([0, *(-maker.add for maker in theirs)])
@@ -266,5 +282,6 @@ def _step(candidates: Candidates, attribute: QualityAttribute, late: Iterable[in
     """Return a common divisor of all badness; 1 on a scale whose worst is its best, where all is 0."""
     outputs = [port for t in candidates.kinds.values() for port in t.outputs]
     stated = [c for port in outputs for c in port.quality if c.attribute == attribute.name]
+    values = [c.stated + seen for c in stated for seen in (0, *c.learned.values())]
     is_cut = any(c.rule is QualityRule.SCALE or c.over is Over.MEAN for c in stated)
-    return 1 if is_cut else max(1, gcd(attribute.worst, attribute.best, *(c.value for c in stated), *late))
+    return 1 if is_cut else max(1, gcd(attribute.worst, attribute.best, *values, *late))

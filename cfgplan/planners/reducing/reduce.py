@@ -349,6 +349,8 @@ def _home(problem: Problem) -> Host | None:
         return None
     if any(_may_need_several(environment, t) for t in environment.library):
         return None
+    if Feature.QUALITY in problem.features and any(one.host for some in environment.taught.values() for one in some):
+        return None
     at = {unit.host for unit in environment.units if unit.transformation != GONE}
     at.update(target.host for target in environment.targets if target.host is not None)
     least_us = min(host.rent_us for host in environment.hosts)

@@ -37,7 +37,12 @@ from cfgplan_runtime.lifecycle.perturbations import (
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Decision, Ended, Observed, Review, ReviewBegan, Reviewed
 from cfgplan_runtime.lifecycle.state import Doing, Entry, Gathering, Planning, State, Updating
-from cfgplan_runtime.lifecycle.stream_qualities import qualities_faded, qualities_learned, quality_told
+from cfgplan_runtime.lifecycle.stream_qualities import (
+    look_learned,
+    qualities_faded,
+    qualities_learned,
+    quality_told,
+)
 from cfgplan_runtime.lifecycle.transitions import (
     ApplyUpdate,
     Effect,
@@ -186,8 +191,8 @@ def _look_begun(transition: Transition, time_s: float) -> Transition:
     unmet = state.reviews[-1].unmet if state.reviews else {}
     transition = _units_known(transition.to(replace(state, doing=planning)))
     environment = state.version.world.environment.with_facts(state.situation.facts)
-    due = (label for label, due_s in state.looks_due_s.items() if due_s <= at_s)
-    hopes = {label: hopes_of(label, environment, state.seen.estimates, at_s) for label in due}
+    due = (place for place, due_s in state.looks_due_s.items() if due_s <= at_s)
+    hopes = {place: hopes_of(place, environment, state.seen.estimates, at_s) for place in due}
     return transition.also(MakeLook(transition.state.plan_input, hopes, unmet))
 
 
@@ -202,10 +207,11 @@ def _looked(transition: Transition, looked: Looked) -> Transition:
     if looked.findings is None:
         looks = looks.idled(transition.at_s, qualities, state.running.units, every_s)
         return transition.to(replace(state, doing=None, looks=looks))
-    planning = replace(planning, entries=(Entry(LookDue(looked.label), transition.at_s, transition.at_s),))
-    looks = looks.at(looked.label, looked.statements, qualities)
+    look_due = LookDue(*looked.place)
+    planning = replace(planning, entries=(Entry(look_due, transition.at_s, transition.at_s),))
+    looks = looks.at(looked.place, looked.statements, qualities)
     transition = transition.to(replace(state, number=planning.number, doing=planning, looks=looks))
-    transition = transition.also(Tell(ReviewBegan(planning.number, (LookDue(looked.label),))))
+    transition = transition.also(Tell(ReviewBegan(planning.number, (look_due,))))
     return _carried_out(transition, planning, looked.findings)
 
 
@@ -216,6 +222,7 @@ def _look_ended(transition: Transition) -> Transition:
         return transition
     if (longer := looks.longer(state.running, state.seen)) is not looks:
         return transition.to(replace(state, looks=longer))
+    state = (transition := look_learned(transition)).state
     every_s = state.policy.look_every_s or 0.0
     over = looks.over(state.version.world.environment, state.situation.qualities, every_s)
     return transition.to(replace(state, looks=over)).perturbed(LookOver(looks.units))

@@ -25,6 +25,7 @@ from cfgplan.summary import some
 from cfgplan.validity import Rule
 from cfgplan.validity.facts import meeting_targets, needed_by
 from cfgplan.validity.hosts import costs_there
+from cfgplan_runtime.lifecycle.back_off import Place
 from cfgplan_runtime.lifecycle.configuration import (
     EstimatedLibrary,
     PlanInput,
@@ -75,17 +76,17 @@ class Findings:
 
 @dataclass(frozen=True)
 class Looked:
-    """The planned look at the last of the `tried` transformations, which observes the outputs of `statements`.
+    """The planned look at the last of the `tried` places, which observes the outputs of `statements`.
 
     `findings` is None if no look is worth its cost, or the units of none of the `tried` could run.
     """
 
-    tried: tuple[str, ...] = ()
+    tried: tuple[Place, ...] = ()
     statements: tuple[Statement, ...] = ()
     findings: Findings | None = None
 
     @property
-    def label(self) -> str:
+    def place(self) -> Place:
         return self.tried[-1]
 
 
@@ -173,29 +174,31 @@ class Deliberation:
     def look(
         self,
         plan_input: PlanInput,
-        hopes: Mapping[str, Mapping[Statement, int]],
+        hopes: Mapping[Place, Mapping[Statement, int]],
         unmet: Mapping[str, str],
         *,
         stop: threading.Event,
     ) -> Looked:
-        """Plan a look at the first transformation that a plan would use if its outputs had the hoped deviations.
+        """Plan a look at the first place that a plan would use if its outputs had the hoped deviations.
 
         The new units feed no topic. `unmet` has the targets that are not met now, with the reasons.
         """
-        self._stop, tried, left = stop, list[str](), dict(hopes)
+        self._stop, tried, left = stop, list[Place](), dict(hopes)
         while left:  # if no look is worth its cost, a single plan shows it
             optimistic, before = self._hopeful(plan_input, left.values()), len(tried)
-            promising = [label for label in left if _starts(optimistic, label)]
-            for label in promising:
-                alone = optimistic if len(promising) == 1 else self._hopeful(plan_input, [hopes[label]])
-                units = _needed_for_a_look(alone, label, hopes[label])
+            promising = [place for place in left if _new_there(optimistic, place)]
+            for place in promising:
+                alone = optimistic if len(promising) == 1 else self._hopeful(plan_input, [hopes[place]])
+                units = _needed_for_a_look(alone, place, hopes[place])
                 if not units or not _pays(alone, units, unmet):
                     continue
-                tried.append(label)
+                tried.append(place)
                 findings = self._run_for_nobody(plan_input, ChangeSet(started=units))
                 if findings is not None:
-                    return Looked(tuple(tried), tuple(hopes[label]), replace(findings, unmet=unmet))
-                del left[label]
+                    host = _new_there(alone, place)[0].host
+                    statements = tuple(statement._replace(host=host) for statement in hopes[place])
+                    return Looked(tuple(tried), statements, replace(findings, unmet=unmet))
+                del left[place]
             if len(tried) == before:
                 break
         return Looked(tuple(tried))
@@ -362,28 +365,29 @@ def _asking_less(problem: Problem) -> Iterator[tuple[Problem, str]]:
         yield problem, "there is no room for as many instances as are asked for"
 
 
-def _starts(findings: Findings, label: str) -> bool:
-    """Whether an update that is worth it starts units of a transformation."""
-    new = findings.change_set.started if findings.change_set is not None else ()
-    is_used = any(unit.transformation == label and not unit.standby for unit in new)
-    return findings.decision is Decision.APPLIED and is_used
+def _new_there(findings: Findings, place: Place) -> list[ComputationUnit]:
+    """The units that an update starts at a place, if it is worth it; at a place without a host, on any."""
+    if findings.change_set is None or findings.decision is not Decision.APPLIED:
+        return []
+    new = (unit for unit in findings.change_set.started if unit.transformation == place.label and not unit.standby)
+    return [unit for unit in new if place.host in (None, unit.host)]
 
 
 def _needed_for_a_look(
-    optimistic: Findings, label: str, statements: Iterable[Statement]
+    optimistic: Findings, place: Place, statements: Iterable[Statement]
 ) -> tuple[ComputationUnit, ...]:
-    """Return the new units that a look at a transformation needs, without topics: its own, and those that feed them.
+    """Return the new units that a look at a place needs, without topics: its own, and those that feed them.
 
     If another stream must say how good it is, all new units of the plan are needed.
     """
-    if optimistic.change_set is None or not _starts(optimistic, label):
+    looked_at = [unit.id for unit in _new_there(optimistic, place)]
+    if optimistic.change_set is None or not looked_at:
         return ()
     new = {unit.id: unit for unit in optimistic.change_set.started if not unit.standby}
     stated = map(optimistic.planned.stated, statements)
     if all(each is not None and each.observe is not None for each in stated):
-        observed = [unit.id for unit in new.values() if unit.transformation == label]
         feeders = {unit.id: [one.stream.unit for one in unit.subscriptions] for unit in new.values()}
-        needed = reached(observed, lambda unit: feeders.get(unit, ()))
+        needed = reached(looked_at, lambda unit: feeders.get(unit, ()))
         new = {unit_id: unit for unit_id, unit in new.items() if unit_id in needed}
     return tuple(replace(unit, publications=()) for unit in new.values())
 

@@ -339,7 +339,10 @@ _PERTURBATIONS = (
         ),
         optimises=True,
     ),
-    Kind(perturbations.LookDue, because=lambda it: f"a look at {it.transformation}"),
+    Kind(
+        perturbations.LookDue,
+        because=lambda it: f"a look at {it.transformation}{'' if it.host is None else f' on {it.host}'}",
+    ),
     Kind(
         perturbations.LookOver,
         because=lambda it: f"{named(it.units)} {'was' if len(it.units) == 1 else 'were'} looked at",

@@ -1,8 +1,9 @@
 """Looks: a transformation that may be better than the ones that run is run for some seconds, to observe its quality.
 
-A transformation that does not run is not observed. If the planner would choose it with the quality that it may have, it
-runs for LOOK_S seconds without subscribers; a slow stream is looked at until it has given enough elements. If a look
-finds nothing new, the next one at this transformation comes later.
+A transformation that does not run is not observed, and one that runs elsewhere not on a host where it was found to be
+bad. If the planner would choose it with the quality that it may have there, it runs for LOOK_S seconds without
+subscribers; a slow stream is looked at until it has given enough elements. If a look finds nothing new, the next one at
+this place comes later.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Final, NamedTuple
 
 from cfgplan.domain import ComputationUnit, Environment, Statement
 from cfgplan.observed import Estimates, hoped_deviation
+from cfgplan_runtime.lifecycle.back_off import Place
 from cfgplan_runtime.lifecycle.seen_qualities import SeenQualities
 
 LOOK_S: Final = 3.0
@@ -30,7 +32,7 @@ experiments/observed/README.md has the figures.
 
 
 class Pause(NamedTuple):
-    """When a transformation was looked at last, or could not be, and the seconds from then to its next look."""
+    """When a place was looked at last, or could not be, and the seconds from then to its next look."""
 
     since_s: float
     interval_s: float
@@ -51,14 +53,14 @@ class Idle(NamedTuple):
 class Looks:
     """When the next look at each transformation is due, and the look under way."""
 
-    pauses: Mapping[str, Pause] = field(default_factory=dict)
-    """By transformation, whether it said anything in its look or not."""
+    pauses: Mapping[Place, Pause] = field(default_factory=dict)
+    """By place, whether anything was said in its look or not. The place of a first look has no host."""
     idle: Idle = field(default_factory=lambda: Idle(0.0))
     """The last time when no look was taken; at first, the start of the run."""
-    impossible: frozenset[str] = frozenset()
-    """The transformations for whose last look there was no room, or that share a named state with another one."""
-    label: str = ""
-    """The transformation that is looked at."""
+    impossible: frozenset[Place] = frozenset()
+    """The places for whose last look there was no room, or whose transformation shares a named state with another."""
+    place: Place | None = None
+    """The place that is looked at."""
     units: tuple[str, ...] = ()
     """The units of the look."""
     since_s: float = 0.0
@@ -83,38 +85,47 @@ class Looks:
         interval_s = min(2 * self.idle.interval_s, LONGEST_INTERVAL_S) if is_same else 0.0
         return replace(self, idle=Idle(at_s, max(interval_s, least_s), qualities, units))
 
-    def due_s(self, label: str, seen_s: float, least_interval_s: float) -> float:
-        """Return when the next look is due at a transformation that was observed last at `seen_s`."""
-        pause = self.pauses.get(label)
+    def pause_of(self, place: Place) -> Pause | None:
+        """The pause after the last look at a place, or at its transformation before it was observed on any host."""
+        return self.pauses.get(place, self.pauses.get(Place(place.label)))
+
+    def due_s(self, place: Place, seen_s: float, least_interval_s: float) -> float:
+        """Return when the next look is due at a place that was observed last at `seen_s`."""
+        pause = self.pause_of(place)
         return max(seen_s + least_interval_s, -inf if pause is None else pause.since_s + pause.interval_s)
 
-    def begun(self, labels: Sequence[str], at_s: float, least_interval_s: float, *, is_possible: bool) -> Looks:
-        """Note that looks at transformations were planned, of which only the last one may be possible: the next ones
-        come after twice their intervals, at least.
+    def begun(self, places: Sequence[Place], at_s: float, least_interval_s: float, *, is_possible: bool) -> Looks:
+        """Note that looks at places were planned, of which only the last one may be possible: the next ones come after
+        twice their intervals, at least.
         """
-        impossible = self.impossible.difference(labels[-1:]) if is_possible else self.impossible
-        impossible |= {*(labels[:-1] if is_possible else labels)}
-        doubled_s = {label: 2 * self.pauses[label].interval_s if label in self.pauses else 0.0 for label in labels}
+        impossible = self.impossible.difference(places[-1:]) if is_possible else self.impossible
+        impossible |= {*(places[:-1] if is_possible else places)}
+        before = {place: self.pause_of(place) for place in places}
+        doubled_s = {place: 0.0 if pause is None else 2 * pause.interval_s for place, pause in before.items()}
         new = {
-            label: Pause(at_s, min(max(next_s, least_interval_s), LONGEST_INTERVAL_S))
-            for label, next_s in doubled_s.items()
+            place: Pause(at_s, min(max(next_s, least_interval_s), LONGEST_INTERVAL_S))
+            for place, next_s in doubled_s.items()
         }
         return replace(self, pauses={**self.pauses, **new}, impossible=impossible)
 
-    def at(self, label: str, statements: Iterable[Statement], qualities: Mapping[Statement, int]) -> Looks:
-        """Look at the outputs of a transformation, and keep their known deviations for comparison."""
-        return replace(self, label=label, known={one: qualities.get(one, 0) for one in statements})
+    def at(self, place: Place, statements: Iterable[Statement], qualities: Mapping[Statement, int]) -> Looks:
+        """Look at outputs at a place, and keep their known deviations for comparison."""
+        return replace(self, place=place, known={one: qualities.get(one, 0) for one in statements})
 
     def running(self, units: tuple[str, ...], at_s: float) -> Looks:
         """Note that the units of the look run from now on."""
         return replace(self, units=units, since_s=at_s, until_s=at_s + LOOK_S)
 
+    def ending(self, at_s: float) -> Looks:
+        """The look with its end now: it has found something new."""
+        return replace(self, until_s=at_s)
+
     def longer(self, running: Environment, seen: SeenQualities) -> Looks:
         """Continue a look at running units that have given too few elements, for LONGEST_LOOK_S at most."""
         sampled = {
-            Statement(running.unit[stream.unit].transformation, stream.port, attribute)
+            Statement(unit.transformation, stream.port, attribute, unit.host)
             for (stream, attribute), window in seen.windows.items()
-            if stream.unit in self.units and stream.unit in running.unit and window.sample is not None
+            if stream.unit in self.units and window.sample is not None and (unit := running.unit.get(stream.unit))
         }
         taught = {one for one in self.known if one in seen.estimates and seen.estimates[one].seen_s >= self.since_s}
         is_running = any(unit in running.unit for unit in self.units)
@@ -129,31 +140,42 @@ class Looks:
             for one, seen in self.known.items()
             if (stated := world.stated(one)) is not None
         )
-        pause = self.pauses.get(self.label)
-        if pause is None or not has_taught:
+        pause = None if self.place is None else self.pauses.get(self.place)
+        if self.place is None or pause is None or not has_taught:
             return Looks(self.pauses, self.idle, self.impossible)
         sooner = pause._replace(interval_s=max(pause.interval_s / 4, least_interval_s))
-        return Looks({**self.pauses, self.label: sooner}, self.idle, self.impossible)
+        return Looks({**self.pauses, self.place: sooner}, self.idle, self.impossible)
 
 
-def last_seen_s(world: Environment, running: Environment, estimates: Estimates) -> dict[str, float]:
-    """Return when each transformation that a look can observe was last observed, by label; -inf if it never was.
+def last_seen_s(world: Environment, running: Environment, estimates: Estimates) -> dict[Place, float]:
+    """Return when each place that a look can observe was last observed; -inf if it never was.
 
-    Running transformations are left out, and losses, which are measured only at subscribers.
+    A transformation has a place on each host where it was observed, and one without a host if it was observed nowhere.
+    Places of running units are left out, and losses, which are measured only at subscribers.
     """
-    runs, found = {unit.transformation for unit in running.units if not unit.standby}, dict[str, float]()
-    for statement in (*world.observable, *estimates):
-        label, known = statement.transformation, estimates.get(statement)
-        if label not in runs and statement not in world.losing and world.stated(statement) is not None:
-            found[label] = max(found.get(label, -inf), -inf if known is None else known.seen_s)
+    runs = {
+        Place(unit.transformation, host) for unit in running.units if not unit.standby for host in (None, unit.host)
+    }
+    known = {statement: estimate for statement, estimate in estimates.items() if world.stated(statement) is not None}
+    on_hosts = {statement.transformation for statement in known if statement.host is not None}
+    found: dict[Place, float] = {}
+    for statement in (*world.observable, *known):
+        place, estimate = Place(statement.transformation, statement.host), known.get(statement)
+        is_loss, is_elsewhere = (
+            statement._replace(host=None) in world.losing,
+            place.host is None and place.label in on_hosts,
+        )
+        if not (place in runs or is_loss or is_elsewhere):
+            found[place] = max(found.get(place, -inf), -inf if estimate is None else estimate.seen_s)
     return found
 
 
-def hopes_of(label: str, world: Environment, estimates: Estimates, at_s: float) -> dict[Statement, int]:
-    """Return the deviations that the outputs of a transformation may have if it is good, in micro-units."""
+def hopes_of(place: Place, world: Environment, estimates: Estimates, at_s: float) -> dict[Statement, int]:
+    """Return the deviations that the outputs of a transformation may have at a place if it is good, in micro-units."""
     found: dict[Statement, int] = {}
-    for statement in dict.fromkeys((*world.observable, *estimates)):
+    for statement in dict.fromkeys((*(one._replace(host=place.host) for one in world.observable), *estimates)):
         stated, attribute = world.stated(statement), world.quality.get(statement.attribute)
-        if statement.transformation == label and stated is not None and attribute is not None:
+        is_there = place == (statement.transformation, statement.host)
+        if is_there and stated is not None and attribute is not None:
             found[statement] = hoped_deviation(stated, attribute, estimates.get(statement), at_s)
     return found

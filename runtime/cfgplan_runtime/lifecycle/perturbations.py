@@ -130,9 +130,12 @@ class LinkMeasured(Perturbation, frozen=True):
 
 
 class LookDue(Perturbation, frozen=True):
-    """A transformation that may be better than the ones that run is run for some seconds, to observe its quality."""
+    """A transformation that may be better than the ones that run is run for some seconds, to observe its quality; with
+    a host, on this one.
+    """
 
     transformation: str
+    host: str | None = None
 
 
 class LookOver(Perturbation, frozen=True):

@@ -14,6 +14,7 @@ from cfgplan.api import World
 from cfgplan.domain import ChangeSet, Environment, Transformation
 from cfgplan.errors import Fault
 from cfgplan.noise import NoisyMean
+from cfgplan_runtime.lifecycle.back_off import Place
 from cfgplan_runtime.lifecycle.basis import Preview
 from cfgplan_runtime.lifecycle.configuration import PlanInput, Situation
 from cfgplan_runtime.lifecycle.deliberation import Findings
@@ -186,14 +187,14 @@ class State:
         }
 
     @property
-    def looks_due_s(self) -> dict[str, float]:
-        """When the next look may be due at each transformation that can be observed and does not run, in this order."""
+    def looks_due_s(self) -> dict[Place, float]:
+        """When the next look may be due at each place that can be observed and has no running unit, in this order."""
         every_s, environment = self.policy.look_every_s, self.version.world.environment
         if every_s is None or not environment.observable:
             return {}
         seen_s = last_seen_s(environment, self.running, self.seen.estimates)
-        due_s = {label: self.looks.due_s(label, last_s, every_s) for label, last_s in seen_s.items()}
-        return dict(sorted(due_s.items(), key=lambda one: (one[1], one[0])))
+        due_s = {place: self.looks.due_s(place, last_s, every_s) for place, last_s in seen_s.items()}
+        return dict(sorted(due_s.items(), key=lambda one: (one[1], one[0].label, one[0].host or "")))
 
     @property
     def look_at_s(self) -> float:

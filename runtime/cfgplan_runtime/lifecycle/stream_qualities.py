@@ -8,8 +8,9 @@ from math import inf
 from typing import Final
 
 from cfgplan.domain import Environment, Statement
-from cfgplan.observed import TEACHES_S, learned, own_part, planned_deviations
+from cfgplan.observed import TEACHES_S, Lesson, learned, own_part, planned_deviations
 from cfgplan.validity.quality import quality_violations
+from cfgplan_runtime.lifecycle.back_off import Place
 from cfgplan_runtime.lifecycle.perturbations import QualitiesObserved
 from cfgplan_runtime.lifecycle.reports import Decision, QualityView
 from cfgplan_runtime.lifecycle.state import State
@@ -36,26 +37,52 @@ def quality_told(transition: Transition, statement: Statement, value: float) -> 
 
 def qualities_learned(transition: Transition) -> Transition:
     """Learn from the qualities that streams have said. A significant change makes a review due."""
-    state, at_s = transition.state, transition.at_s
-    seen, situation = state.seen, state.situation
-    if not seen.is_new:
+    if not transition.state.seen.is_new:
         return transition
-    world = state.version.world.environment.with_facts(situation.facts)
-    running = replace(world, units=tuple(unit for unit in state.running.units if not unit.standby), targets=())
-    samples = {said: sample for said, window in seen.windows.items() if (sample := window.sample) is not None}
-    fresh = frozenset(said for said in samples if at_s - seen.taught_s.get(said, -TEACHES_S) >= TEACHES_S)
-    lesson = learned(running, samples, seen.estimates, at_s, fresh=fresh)
-    transition = transition.to(replace(state, seen=seen.after_lesson(lesson, fresh, at_s)))
-    before = situation.qualities  # a slow drift is never news: it is confirmed little by little
+    transition, running, lesson = _taught(transition, ends_look=False)
+    if any(stream.unit in transition.state.looks.units for stream, _ in lesson.news):
+        transition = transition.to(replace(transition.state, looks=transition.state.looks.ending(transition.at_s)))
+    state, at_s, world = transition.state, transition.at_s, _world_now(transition.state)
+    before = state.situation.qualities  # a slow drift is never news: it is confirmed little by little
     now = planned_deviations(world, lesson.estimates, before, at_s, only_sure=not lesson.news)
-    if now == before or (at_s < _calm_until_s(state) and not _bounds_are_crossed(transition, running, now)):
+    waits = at_s < (state.looks.until_s if state.looks.units else _calm_until_s(state))
+    if now == before or (waits and not _bounds_are_crossed(transition, running, now)):
         return transition
-    transition = transition.situated(replace(situation, qualities=now))
+    transition = transition.situated(replace(state.situation, qualities=now))
     said_now = world.with_qualities(now).qualities_now
-    changed = sorted(one for one in now.keys() | before.keys() if now.get(one) != before.get(one))
+    changed = sorted((one for one in now.keys() | before.keys() if now.get(one) != before.get(one)), key=str)
     return transition.perturbed(
         QualitiesObserved(tuple(f"{one} {said_now.get(str(one), 'as declared')}" for one in changed))
     )
+
+
+def look_learned(transition: Transition) -> Transition:
+    """Learn from all that the streams of a look have said; the review at its end plans with all estimates of now."""
+    transition, _, lesson = _taught(transition, ends_look=True)
+    situation, world = transition.state.situation, _world_now(transition.state)
+    now = planned_deviations(world, lesson.estimates, situation.qualities, transition.at_s)
+    return transition.situated(replace(situation, qualities=now))
+
+
+def _world_now(state: State) -> Environment:
+    """The environment with the present facts and the stated qualities."""
+    return state.version.world.environment.with_facts(state.situation.facts)
+
+
+def _taught(transition: Transition, *, ends_look: bool) -> tuple[Transition, Environment, Lesson]:
+    """Learn from the running streams; return them as an environment, too.
+
+    A stream confirms estimates once in TEACHES_S, one of a look at the end of the look: by all that it has said.
+    """
+    state, at_s, world = transition.state, transition.at_s, _world_now(transition.state)
+    seen, looked_at = state.seen, state.looks.units
+    units = (unit for unit in state.running.units if not unit.standby and (unit.host is None) is (not world.hosts))
+    running = replace(world, units=tuple(units), targets=())
+    samples = {said: sample for said, window in seen.windows.items() if (sample := window.sample) is not None}
+    due = {said for said in samples if at_s - seen.taught_s.get(said, -TEACHES_S) >= TEACHES_S}
+    fresh = frozenset(said for said in samples if (ends_look if said[0].unit in looked_at else said in due))
+    lesson = learned(running, samples, seen.estimates, at_s, fresh=fresh)
+    return transition.to(replace(state, seen=seen.after_lesson(lesson, fresh, at_s))), running, lesson
 
 
 def _calm_until_s(state: State) -> float:
@@ -87,9 +114,12 @@ def qualities_faded(transition: Transition) -> Transition:
     if not state.seen.estimates:
         return transition
     world = state.version.world.environment.with_facts(situation.facts)
-    unseen = {one.transformation for one in state.seen.estimates}
-    fading = unseen if state.policy.look_every_s is None else state.looks.impossible
-    now = planned_deviations(world, state.seen.estimates, situation.qualities, transition.at_s, fading=fading)
+    is_blind, impossible = state.policy.look_every_s is None, state.looks.impossible
+
+    def fades(one: Statement) -> bool:
+        return is_blind or Place(one.transformation, one.host) in impossible
+
+    now = planned_deviations(world, state.seen.estimates, situation.qualities, transition.at_s, fades=fades)
     return transition.situated(replace(situation, qualities=now))
 
 
@@ -99,7 +129,8 @@ def qualities_restated(transition: Transition, before: Environment) -> Transitio
 
     def is_as_before(one: Statement) -> bool:
         is_same_scale = now.quality.get(one.attribute) == before.quality.get(one.attribute)
-        return is_same_scale and now.stated(one) == before.stated(one)
+        is_same_place = (one.host is None) is (not now.hosts)
+        return is_same_scale and is_same_place and now.stated(one) == before.stated(one)
 
     known, told_now = state.seen.estimates, state.situation.qualities
     if all(map(is_as_before, known)):
@@ -113,11 +144,11 @@ def qualities_restated(transition: Transition, before: Environment) -> Transitio
 def quality_views(world: Environment, state: State, at_s: float) -> tuple[QualityView, ...]:
     """Return the learned quality of each output of a world with stated qualities, sorted by name."""
     found = []
-    for statement, known in sorted(state.seen.estimates.items()):
-        stated = world.stated(statement)
+    for statement in sorted(state.seen.estimates, key=str):
+        stated, known = world.stated(statement), state.seen.estimates[statement]
         if stated is not None:
             value, error = own_part(stated, known, at_s)
-            planned = stated.taught(state.situation.qualities.get(statement, 0)).value
+            planned = stated.taught({None: state.situation.qualities.get(statement, 0)}).value
             ago_s = max(0.0, at_s - known.seen_s)
             found.append(QualityView(*statement, stated.stated, planned, round(value), round(error), ago_s))
     return tuple(found)

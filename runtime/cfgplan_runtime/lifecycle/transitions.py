@@ -161,8 +161,8 @@ class MakeLook(Effect, frozen=True):
     """Plan as if transformations were as good as hoped, to run one of them for a moment: Looked follows."""
 
     plan_input: PlanInput
-    hopes: Mapping[str, Mapping[Statement, int]]
-    """By transformation, in the order in which they are due: the deviations that its outputs may have."""
+    hopes: Mapping[Place, Mapping[Statement, int]]
+    """By place, in the order in which looks are due: the deviations that outputs may have there."""
     unmet: Mapping[str, str]
 
 

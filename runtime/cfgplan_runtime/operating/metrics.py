@@ -31,6 +31,7 @@ _BUCKETS_S = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10,
 _US_PER_S: Final = 1_000_000
 _TARGET: Final = ("target", "topic")
 _UNIT: Final = ("unit", "transformation", "host")
+_OWN_PART: Final = ("transformation", "output", "attribute", "host")
 _CROSSING: Final = ("stream", "from", "to")
 _PORT: Final = (*_UNIT, "port")
 
@@ -179,8 +180,8 @@ class Present(Collector):
         held_out = [((one.transformation, one.host or ""), one) for one in now.backing_off]
         yield _OF_HELD_OUT.family(("transformation", "host"), held_out)
         yield _OF_FACTS.family(("fact",), [((fact.key,), fact) for fact in now.facts])
-        own_parts = [((one.transformation, one.output, one.attribute), one) for one in now.qualities]
-        yield from (measure.family(("transformation", "output", "attribute"), own_parts) for measure in _OF_QUALITIES)
+        own_parts = [((one.transformation, one.output, one.attribute, one.host or ""), one) for one in now.qualities]
+        yield from (measure.family(_OWN_PART, own_parts) for measure in _OF_QUALITIES)
         yield _OF_HEARD.family(("fact",), [((name,), ago_s) for name, ago_s in now.facts_heard_s.items()])
         targets = [((one.label, one.topic), one) for one in now.targets]
         yield _OF_TARGETS.family(_TARGET, targets)

@@ -58,6 +58,7 @@ def _quality(view: reports.QualityView) -> Record:
     return {
         "output": f"{view.transformation}/{view.output}",
         "attribute": view.attribute,
+        **({"host": view.host} if view.host is not None else {}),
         **{
             key: value / MICRO
             for key, value in (

@@ -2,6 +2,7 @@
 import { ask, byId, button, facts, made, post, put, token } from "./dom.js";
 import { bytes, clock, coreShare, plain, rate, span } from "./figures.js";
 import { line, spark } from "./history.js";
+import { qualitiesOf } from "./lists.js";
 import { suppose } from "./what_if.js";
 const PEEKED = 120;
 let chosen = null, state = null, viewer = "", peeked = "", numbers = new Map(), drawnKey = "";
@@ -54,7 +55,7 @@ function showUnit(unit) {
     spare: unit.standby ? (unit.prepared ? "cold, prepared" : "cold") : "", process: unit.pid,
     CPU: unit.upkeep_us == null ? "" : coreShare(unit.upkeep_us), memory: unit.memory_bytes && bytes(unit.memory_bytes),
     steps: unit.steps_per_s === undefined ? "" : `${unit.steps} (${rate(unit.steps_per_s)})`, dropped: unit.dropped,
-    quality: state.qualities.filter((one) => one.output.startsWith(`${unit.transformation}/`)).map((one) => `${one.output.split("/").at(-1)} ${one.attribute} ${plain(one.estimate)} observed, ${plain(one.declared)} declared`).join("; "),
+    quality: qualitiesOf(state, unit).map((one) => `${one.output.split("/").at(-1)} ${one.attribute} ${plain(one.estimate)} observed, ${plain(one.declared)} declared`).join("; "),
   });
 }
 function showTarget(target) {

@@ -23,9 +23,10 @@ export function sample(state) {
     note(`memory ${unit.id}`, unit.memory_bytes);
   }
   for (const target of state.targets) note(`target ${target.label}`, target.rate_hz);
-  for (const one of state.qualities) note(`quality ${one.output} ${one.attribute}`, one.estimate);
+  for (const one of state.qualities) note(qualityKey(one), one.estimate);
   for (const key of series.keys()) if (!seen.has(key)) series.delete(key);
 }
+export const qualityKey = (one) => `quality ${one.output} ${one.attribute} ${one.host ?? ""}`;
 export const spark = () => {
   const svg = drawn("svg", { class: "spark", viewBox: `0 0 ${WIDTH} ${HEIGHT}`, "aria-hidden": "true" });
   svg.append(drawn("polyline", { points: "" }));

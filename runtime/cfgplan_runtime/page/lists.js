@@ -1,7 +1,7 @@
 // Targets, units and hosts in rows that are made once: afterwards only their texts and lines change.
 import { attribute, byId, button, made, put } from "./dom.js";
 import { bytes, percent, rate, span, three } from "./figures.js";
-import { draw, spark } from "./history.js";
+import { draw, qualityKey, spark } from "./history.js";
 import { suppose } from "./what_if.js";
 
 class Rows {
@@ -56,7 +56,6 @@ export function targets(state, choose) {
   const shown = state.targets.filter((target) => !(isOnly && target.met) && found(target.label));
   shown.sort((a, b) => a.met - b.met);
   targetRows.show(shown.map((target) => [target.label, target]), (label) => choose({ kind: "target", id: label }));
-  const qualities = byOutput(state);
   for (const row of targetRows.visible()) {
     const target = row.item, parts = row.parts;
     attribute(row, "class", target.met ? "row" : "row unmet");
@@ -65,13 +64,12 @@ export function targets(state, choose) {
     draw(parts["rate line"], `target ${target.label}`);
     const last = target.silent_s == null ? "nothing came yet" : target.silent_s > 2 ? `last ${span(target.silent_s)} ago` : target.latency_ms == null ? "" : `${span(target.latency_ms / 1000)} old`;
     name(parts.about, target.met ? [target.stream ?? target.unit, target.stream ? last : ""].filter(Boolean).join(" · ") : target.reason || "not met");
-    quality(parts, qualities.get(output(state, target.stream))?.[0]);
+    quality(parts, ofStream(state, target.stream));
   }
 }
 export function units(state, choose) {
   const shown = state.units.filter((unit) => found(unit.id) || found(unit.host || ""));
   unitRows.show(shown.map((unit) => [unit.id, unit]), (id) => choose({ kind: "unit", id }));
-  const qualities = byOutput(state);
   for (const row of unitRows.visible()) {
     const unit = row.item, parts = row.parts;
     name(parts.name, unit.host ? `${unit.id} · ${unit.host}` : unit.id);
@@ -79,7 +77,7 @@ export function units(state, choose) {
     put(parts.rate, unit.steps_per_s === undefined ? "" : rate(unit.steps_per_s));
     put(parts.memory, unit.memory_bytes ? bytes(unit.memory_bytes) : "");
     for (const figure of ["cpu", "rate", "memory"]) draw(parts[`${figure} line`], `${figure} ${unit.id}`);
-    quality(parts, [...qualities].find(([key]) => key.startsWith(`${unit.transformation}/`))?.[1][0]);
+    quality(parts, qualitiesOf(state, unit)[0]);
     put(parts.wrong, unit.unfed?.length ? "unfed" : unit.errors ? `${unit.errors} errors` : unit.dropped ? `${unit.dropped} lost` : "");
   }
 }
@@ -87,21 +85,16 @@ function name(element, text) {
   put(element, text);
   attribute(element, "title", text);
 }
-function byOutput(state) {
-  const found = new Map();
-  for (const one of state.qualities) found.set(one.output, [...(found.get(one.output) || []), one]);
-  return found;
-}
-function output(state, stream) {
-  if (!stream) return "";
-  const at = stream.lastIndexOf("/"), unit = state.units.find((each) => each.id === stream.slice(0, at));
-  return unit ? `${unit.transformation}/${stream.slice(at + 1)}` : "";
+export const qualitiesOf = (state, unit) => state.qualities.filter((one) => one.output.startsWith(`${unit.transformation}/`) && (one.host === undefined || one.host === unit.host));
+function ofStream(state, stream) {
+  const at = stream ? stream.lastIndexOf("/") : 0, unit = stream && state.units.find((each) => each.id === stream.slice(0, at));
+  return unit && qualitiesOf(state, unit).find((one) => one.output === `${unit.transformation}${stream.slice(at)}`);
 }
 function quality(parts, one) {
   parts.quality.parentElement.hidden = !one;
   if (!one) return;
   name(parts.quality, `${one.attribute} ${three(one.estimate)}`);
-  draw(parts["quality line"], `quality ${one.output} ${one.attribute}`);
+  draw(parts["quality line"], qualityKey(one));
 }
 export function hosts(state, token) {
   const names = [...new Set([...state.units.map((unit) => unit.host), ...state.lost_hosts])].filter(Boolean).sort();
