@@ -94,7 +94,7 @@ class InputError(CfgplanError):
 
     @classmethod
     def unwritable(cls, error: OSError, file: str) -> InputError:
-        """Return the error for a file or folder that can't be written; an unknown system error has no mend."""
+        """Return the error for the `file` or folder that can't be written, with the mend of the system's `error`."""
         return cls.of(f"can't be written: {error.strerror}", file=file, mend=mend_of_write(error))
 
 
