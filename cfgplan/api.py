@@ -528,8 +528,7 @@ def write_file(path: Path, content: bytes) -> None:
         else:
             _replace(path, content)
     except OSError as error:
-        mend = "check that the folder exists and may be written to"
-        raise InputError.of(f"can't be written: {error.strerror}", file=str(path), mend=mend) from None
+        raise InputError.unwritable(error, str(path)) from None
 
 
 def _replace(path: Path, content: bytes) -> None:

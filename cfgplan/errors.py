@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
+FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+"""The errors of a disk that takes no more data."""
 _MOST_NAMES_COMPARED = 500
 _MOST_BESIDE = 500
 _LETTERS = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-./:()@ "
@@ -88,6 +91,23 @@ class InputError(CfgplanError):
     def of(cls, message: str, *, file: str | None = None, mend: str | None = None) -> InputError:
         """Return an error with a single fault: a `message`, the `file` that it concerns as a whole, and a `mend`."""
         return cls([Fault(message, file=file, mend=mend)])
+
+    @classmethod
+    def unwritable(cls, error: OSError, file: str) -> InputError:
+        """Return the error for the `file` or folder that can't be written, with the mend of the system's `error`."""
+        return cls.of(f"can't be written: {error.strerror}", file=file, mend=mend_of_write(error))
+
+
+def mend_of_write(error: OSError) -> str | None:
+    """Return what to do where writing fails; None for a system error whose cause lies elsewhere."""
+    match error.errno:
+        case errno.ENOSPC | errno.EDQUOT:
+            return "free some space, or write to another disk"
+        case errno.EACCES | errno.EPERM | errno.EROFS:
+            return "allow writing there, or name another place"
+        case errno.ENOENT | errno.ENOTDIR:
+            return "make the folder first"
+    return None
 
 
 def known(name: str, names: Iterable[str], what: str, hint: str | None = None) -> str:

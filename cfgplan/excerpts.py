@@ -85,7 +85,7 @@ def _named(fault: Fault, words: Sequence[str]) -> int | None:
     unknown = fault.message.partition("unrecognized arguments: ")[2].split()[:1]
     for name in (fault.file or "", *unknown, *told):
         for at, word in enumerate(words):
-            if name and name in (word, word.partition("=")[2]):
+            if name and name in (word, *word.partition("=")[::2]):
                 return at
     return None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from functools import partial
 from os.path import relpath
 from pathlib import Path
@@ -308,13 +309,17 @@ def _export_launch(options: argparse.Namespace, screen: Screen) -> Exit:
     env = Path(options.env)
     folder = env if env.is_dir() else env.parent
     here = folder if options.out is None else Path(options.out).parent
-    text = launch_text(
-        problem.after(plan),
-        about,
-        part=options.only or "all",
-        host=options.host,
-        folder=relpath(folder, here),
-        includes=[IncludedLaunch.read(each, str(here)) for each in options.include],
-    )
+    includes = [IncludedLaunch.read(each, str(here)) for each in options.include]
+    try:
+        text = launch_text(
+            problem.after(plan),
+            about,
+            part=options.only or "all",
+            host=options.host,
+            folder=relpath(folder, here),
+            includes=includes,
+        )
+    except InputError as error:
+        raise InputError(fault if fault.file else replace(fault, file=options.env) for fault in error.faults) from None
     shared.put(text, options.out, screen)
     return Exit.OK

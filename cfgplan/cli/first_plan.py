@@ -6,14 +6,16 @@ import json
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from cfgplan.cli.screen import OUTPUT_VERSION, Screen, counted
 from cfgplan.domain import Environment
-from cfgplan.errors import InputError
+from cfgplan.errors import Fault, InputError
+from cfgplan.onward import grouped
 from cfgplan.summary import some
 
 if TYPE_CHECKING:
@@ -30,11 +32,14 @@ _NO_UNITS = Environment()
 
 @dataclass(frozen=True)
 class FirstPlan:
-    """A first plan of a world. `ended` are the ids of units of an earlier run that it does not adopt."""
+    """A first plan of a world. `ended` are the ids of units of an earlier run that it does not adopt, `faults` those of
+    code that can't be started, by the label of the transformation.
+    """
 
     world: World
     preview: Preview
     ended: tuple[str, ...] = ()
+    faults: Mapping[str, Fault] = field(default_factory=dict)
 
     @property
     def found(self) -> BestEffort | None:
@@ -106,19 +111,27 @@ class FirstPlan:
         return False
 
 
+def show_faults(faults: Mapping[str, Fault], folder: Path, screen: Screen) -> None:
+    """Show the faults of code in a folder, by label, each one once for all transformations that have it."""
+    from cfgplan_runtime.operating.sources import left_out_text
+
+    for fault, labels in grouped((fault, label) for label, fault in faults.items()).items():
+        file = None if fault.file is None else str(folder / fault.file)
+        screen.warn_of(replace(fault, message=left_out_text(labels, fault.message), file=file))
+
+
 def first_review(
     world: World,
     settings: Settings,
     matches: Matches,
-    folder: Path,
     running: Environment = _NO_UNITS,
     warn: Callable[[str], None] = lambda _: None,
-    warn_of_code: Callable[[str], None] = lambda _: None,
+    faults: Mapping[str, Fault] = MappingProxyType({}),
 ) -> Preview:
     """Plan as the first review of a run would, with the estimates that earlier runs have kept.
 
-    Code is in `folder`; `running` are the units of an earlier run that this one adopts. `warn` is told if the estimates
-    can't be used, and `warn_of_code` of each transformation that is left out since its code can't be started.
+    `running` are the units of an earlier run that this one adopts. `warn` is told if the estimates
+    can't be used. Transformations whose code has `faults`, by label, are left out.
     """
     from cfgplan_runtime.estimating.estimates_file import EstimatesError, load
     from cfgplan_runtime.estimating.estimator import make_estimator
@@ -126,7 +139,6 @@ def first_review(
     from cfgplan_runtime.lifecycle.decisions import first_state
     from cfgplan_runtime.lifecycle.deliberation import Deliberation
     from cfgplan_runtime.lifecycle.guarded_estimator import GuardedEstimator
-    from cfgplan_runtime.operating.sources import faults_of, left_out_text
 
     estimator = make_estimator(settings.estimator, settings.guess)
     if settings.estimates is not None:
@@ -138,8 +150,6 @@ def first_review(
     deliberation = Deliberation(settings.planner, GuardedEstimator(estimator), policy, matches)
     plan_input = first_state(world, policy).plan_input
     situation = plan_input.situation.with_started(running.units, running, time.monotonic())
-    faults = faults_of(world.environment.library, folder, settings.check)
-    for label, fault in faults.items():
-        warn_of_code(left_out_text(label, fault))
-    plan_input = replace(plan_input, running=running, situation=replace(situation, code_faults=faults))
+    code_faults = {label: str(fault) for label, fault in faults.items()}
+    plan_input = replace(plan_input, running=running, situation=replace(situation, code_faults=code_faults))
     return preview_of(deliberation, plan_input, threading.Event())

@@ -17,8 +17,8 @@ from typing import Any, NoReturn, TextIO, cast
 
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.interrupts import Ending, end_below_threads, ended_cleanly
-from cfgplan.cli.screen import FULL_DISK, Screen
-from cfgplan.errors import CfgplanError, Fault, InputError, did_you_mean
+from cfgplan.cli.screen import Screen
+from cfgplan.errors import FULL_DISK, CfgplanError, Fault, InputError, did_you_mean, mend_of_write
 from cfgplan.extras import install
 from cfgplan.summary import some
 
@@ -118,7 +118,8 @@ def _main(arguments: Sequence[str], ending: Ending) -> int:
             raise
         if isinstance(error, OSError) and error.errno in FULL_DISK and not error.filename:
             _say_no_more()
-            fault = Fault(f"the output can't be written: {error.strerror}", file="standard output")
+            message = f"the output can't be written: {error.strerror}"
+            fault = Fault(message, file="standard output", mend=mend_of_write(error))
             Screen(json=False).faults([fault])
             return Exit.BAD_INPUT
         screen.internal_error(error)
@@ -188,6 +189,8 @@ class Parser(argparse.ArgumentParser):
             word = f"{joined[1]}{joined[2]}"
             message, mend = f"unrecognized arguments: {word}", did_you_mean(f"-{word}", self._option_string_actions)
         mend = mend or _mend_of_arguments(message)
+        if (many := _CHOICE.search(message)) is not None and many[2].count(",") >= _MOST_CHOICES:
+            message = message[: many.start(2)].removesuffix(" (choose from ")
         more = f"{self.prog} --help tells more"
         raise InputError.of(message, mend=f"{mend} {more}" if mend else more)
 
@@ -210,11 +213,13 @@ def _mend_of_arguments(message: str) -> str | None:
         return "write a value after it;"
     if message.startswith("unrecognized arguments: "):
         return "leave it out, or put quotes around a value with a space in it;"
-    found = re.search(r"invalid choice: '(.*)' \(choose from (.*)\)", message)
+    found = _CHOICE.search(message)
     if found is None:
         return None
     choices = [each.strip("' ") for each in found[2].split(",")]
-    return did_you_mean(found[1], choices, f"write {some(choices, _MOST_CHOICES)};")
+    if (meant := _MEANT.get(found[1])) in choices:
+        return f"did you mean `{meant}`?"
+    return did_you_mean(found[1], choices, f"write one of {some(choices, _MOST_CHOICES)};")
 
 
 class _Version(argparse.Action):
@@ -248,8 +253,8 @@ def _mend_of_command(asked: str) -> str | None:
 
     if Path(asked).suffix in SUFFIXES:
         return f"write a command before the file, such as `cfgplan solve {asked}`"
-    if asked in NAMES:
-        return f"write `cfgplan ctl {asked}`: it is a command for a live run"
+    if (live := _MEANT.get(asked, asked)) in NAMES:
+        return f"write `cfgplan ctl {live}`: it is a command for a live run"
     return did_you_mean(asked, VERBS, "cfgplan --help lists the commands")
 
 
@@ -318,6 +323,9 @@ class LossyStream:
 
 
 _MOST_CHOICES = 8
+_CHOICE = re.compile(r"invalid choice: '(.*)' \(choose from (.*)\)")
+_MEANT = {"explain": "why", "ps": "state", "quit": "stop", "status": "state"}
+"""Words of other programs for commands of `cfgplan ctl`."""
 _READ = ("env", "envs", "also", "path", "plan", "guesses", "features")
 _WRITTEN = ("out", "plot", "log", "record")
 

@@ -33,7 +33,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         "example:\n  cfgplan help\n  cfgplan help environment\n  cfgplan help restart a unit\n\n"
         "`cfgplan COMMAND --help` lists the options of a command."
     )
-    told = "name of a page, or words to search for (default: list the pages)"
+    told = "name of a page or command, or words to search for (default: list the pages)"
     parser.add_argument("manual_page", metavar="TOPIC", nargs="*", help=told)
     parser.set_defaults(run=run)
 
@@ -41,15 +41,19 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from rich.markdown import Markdown
 
+    from cfgplan.cli.main import VERBS, parser_with
+
     pages, topic = manual_pages(), options.manual_page
     if not topic:
         screen.write(
-            f"`cfgplan help TOPIC` shows a page, `cfgplan help WORDS` searches them, `cfgplan COMMAND --help` lists "
-            f"the options of a command.\n{_listed(pages)}"
+            f"`cfgplan help PAGE` shows a page, `cfgplan help WORDS` searches them, `cfgplan help COMMAND` lists the "
+            f"options of a command.\n{_listed(pages)}"
         )
     elif len(topic) == 1 and topic[0] in pages:
         page = pages[topic[0]]
         screen.show(Markdown(with_docstrings(page.read_text(encoding="utf-8")), hyperlinks=False))
+    elif len(topic) == 1 and topic[0] in VERBS:
+        parser_with(topic).parse_args([topic[0], "--help"])
     else:
         _search(pages, topic, screen)
     return Exit.OK

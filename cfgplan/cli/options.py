@@ -20,6 +20,7 @@ from cfgplan.cli.screen import Screen, ShownWork, decided_by
 from cfgplan.errors import Fault, InvalidValueError
 from cfgplan.extras import is_there, needed
 from cfgplan.formats.places import Place
+from cfgplan.onward import grouped
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -450,14 +451,14 @@ def code_faults(world: api.World, labels: Iterable[str]) -> Iterator[Fault]:
 
     path = world.file.path
     folder = path if path.is_dir() else path.parent
-    for label in labels:
-        fault = source_fault(world.environment.transformation[label], folder)
+    library = world.environment.transformation
+    for fault, of_fault in grouped((source_fault(library[label], folder), label) for label in labels).items():
         if fault is None:
             continue
-        place = world.file.place(transformation=label, key="source")
-        said = f"{label} can't be started: "
+        place = world.file.place(transformation=of_fault[0], key="source")
+        said = f"{', '.join(of_fault)} can't be started: "
         if fault.file is not None and fault.line is not None:
-            by = f", as {place.file}:{place.line} names it" if place else ""
+            by = f", as {place.file}:{place.line} names it" if place and len(of_fault) == 1 else ""
             message = f"{said}{fault.message}{by}"
             yield replace(fault, file=str(folder / fault.file), message=message)
         else:

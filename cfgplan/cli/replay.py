@@ -71,7 +71,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan import api
 
     with screen.phase("read"):
-        found = recorded(Path(options.path).resolve())
+        found = recorded(Path(options.path))
     if options.extract is not None:
         return _extract(found, options.extract, screen)
     if not found.topics:
@@ -129,8 +129,9 @@ def _extract(found: Recorded, folder: Path, screen: Screen) -> Exit:
             raise InputError.of("the file exists already", file=str(folder / ENVIRONMENT), mend="name another folder")
         _write_attached(found, folder)
     except OSError as error:
-        raise InputError.of(f"can't be written: {error.strerror}", file=str(folder)) from None
-    screen.note(f"Wrote {folder / ENVIRONMENT}. Next: cfgplan solve, or cfgplan run, with that file.")
+        raise InputError.unwritable(error, str(folder)) from None
+    file = folder / ENVIRONMENT
+    screen.note(f"Wrote {file}. Next: `cfgplan solve {file}`, or `cfgplan run {file}`.")
     return Exit.OK
 
 
@@ -157,7 +158,7 @@ def _targets(found: Recorded, wanted: list[str], world: World | None) -> list[Ta
 
 
 def _source(found: Recorded, target: Target, options: argparse.Namespace, begin_ns: int | None) -> Transformation:
-    params: dict[str, object] = {"file": str(found.path), "topic": target.topic}
+    params: dict[str, object] = {"file": str(found.path.resolve()), "topic": target.topic}
     params |= {"speed": options.speed} if options.speed != 1 else {}
     params |= {"begin_ns": begin_ns} if begin_ns is not None else {}
     params |= {"loop": True} if options.loop else {}

@@ -24,6 +24,8 @@ from cfgplan.cli.interrupts import Interrupts
 from cfgplan.cli.run_output import JsonLines, Lines, RunOutput
 from cfgplan.cli.screen import Screen, counted
 from cfgplan.errors import Fault, InputError
+from cfgplan.extras import needed
+from cfgplan.onward import grouped
 from cfgplan.qualities import Teller
 from cfgplan.summary import some
 
@@ -44,6 +46,13 @@ _ROS = {ROS1: "ROS 1", ROS2: "ROS 2"}
 _HOSTS_S = 5.0
 """Seconds after the start until a fleet's backend must have reported each host."""
 _MOST_NAMED = 4
+_EXTRAS = {
+    "metrics_port": ("metrics", "prometheus_client"),
+    "record": ("recordings", "mcap"),
+    "local": ("several computers", "zenoh"),
+    "connect": ("several computers", "zenoh"),
+}
+"""The options that need a package, with what needs it; without the package the run ends before it plans."""
 _ESTIMATORS = ("declared", "latest", "trend")
 _GUESSES = ("declared", "optimistic", "pessimistic")
 _RUN_EXAMPLE = """\
@@ -132,6 +141,10 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
     if options.page is not None:
         shared.needed_for_pages()
+    for option, (who, package) in _EXTRAS.items():
+        given = getattr(options, option)
+        if given is not None and given is not False and given != []:
+            needed(who, package)
     run_targets.check_options(options)
     if not options.dry_run:
         _check_places(options)
@@ -187,6 +200,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     if found is not None:
         planned.tell(screen) if screen.json else planned.show(screen)
         settings = replace(settings, first=planned.preview)
+    if not screen.json:
+        settings = replace(settings, told={label: str(fault) for label, fault in planned.faults.items()})
     if not (options.yes or planned.confirm(screen)):
         return Exit.INTERRUPTED
     return _operate(options, world, settings, screen, said)
@@ -194,8 +209,10 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
 def _first_plan(options: argparse.Namespace, world: World, settings: Settings, screen: Screen) -> FirstPlan:
     """The plan of the run's first review, with the units that an earlier run has left on the hosts of a fleet."""
+    from cfgplan_runtime.operating.sources import faults_of
+
     from cfgplan.api import FEW_PAIRS
-    from cfgplan.cli.first_plan import FirstPlan, first_review
+    from cfgplan.cli.first_plan import FirstPlan, first_review, show_faults
     from cfgplan.domain import Environment
 
     left, fleet = None, None if options.dry_run else _fleet(options)
@@ -206,16 +223,18 @@ def _first_plan(options: argparse.Namespace, world: World, settings: Settings, s
     matches = shared.matches(options, screen, world, FEW_PAIRS)
     known = matches.warnings
     adjusted = _adjusted(options, world)
+    faults = faults_of(adjusted.environment.library, _folder(options), settings.check)
+    if options.dry_run or not screen.json:  # the events of a run have them too
+        show_faults(faults, _folder(options), screen)
     with screen.phase("plan"):
         running = Environment() if left is None else left.running
-        of_code = {"warn_of_code": screen.warn} if options.dry_run else {}  # a run reports it by itself
-        preview = first_review(adjusted, settings, matches, _folder(options), running, screen.warn, **of_code)
+        preview = first_review(adjusted, settings, matches, running, screen.warn, faults)
     found = preview.findings.found
     reasons = () if found is None else found.plan.reasons.values()
     for warning in preview.findings.warnings:
         if (options.dry_run or options.strict) and warning not in (*known, *reasons):
             screen.warn(warning)
-    return FirstPlan(adjusted, preview, () if left is None else left.ended)
+    return FirstPlan(adjusted, preview, () if left is None else left.ended, faults)
 
 
 def _differing(said: Environment | None) -> Callable[[Environment], str] | None:
@@ -260,11 +279,15 @@ def _check_can_start(options: argparse.Namespace, world: World) -> None:
     check, folder = _source_check(options), _folder(options)
     if options.dry_run or check is None or options.middleware in _ROS:
         return
-    faults = [(one.label, check(one, folder)) for one in coded]
-    if all(fault is not None for _, fault in faults):
+    faults = grouped((check(one, folder), one.label) for one in coded)
+    if None not in faults:
         raise InputError(
-            replace(fault, message=f"{label}: {fault.message}", file=fault.file or options.env)
-            for label, fault in faults
+            replace(
+                fault,
+                message=f"{', '.join(labels)}: {fault.message}",
+                file=options.env if fault.file is None else str(folder / fault.file),
+            )
+            for fault, labels in faults.items()
             if fault is not None
         )
 

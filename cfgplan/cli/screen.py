@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import re
@@ -17,7 +16,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any, TextIO
 
 from cfgplan.cli.styled import Text
-from cfgplan.errors import Fault
+from cfgplan.errors import FULL_DISK, Fault
 from cfgplan.summary import counted as counted
 
 if TYPE_CHECKING:
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
     from cfgplan.planning import Progress
 
 OUTPUT_VERSION = 1
-FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 _WIDTH_OF_A_FILE = 1000
 _SHOWN_AFTER_S = 0.3
 _DECIDED = "pairs decided by "

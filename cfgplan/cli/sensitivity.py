@@ -20,6 +20,9 @@ from cfgplan.summary import some
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+_PERCENT_US = 10_000
+"""Microseconds of CPU time in each second that are 1 % of a core."""
+
 
 def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
@@ -65,10 +68,10 @@ def sensitivity_text(found: Sensitivity) -> Text:
 
 
 def value_text(value: Fraction, found: Sensitivity) -> str:
-    """A value of the parameter for people: `12.5 s`, or `0.08 s/s` of upkeep; rounded if it is no short decimal."""
+    """A value of the parameter for people: `12.5 s`, or `8 % of a core`; rounded if it is no short decimal."""
     if found.transformation is None:
         return f"{_decimal(value)} s"
-    return f"{_decimal(value / 1_000_000)} s/s"
+    return f"{_decimal(value / _PERCENT_US)} % of a core"
 
 
 def headline(found: Sensitivity) -> str:
@@ -112,7 +115,7 @@ def _reach(found: Sensitivity, span: Span) -> str:
 
 def _cost(found: Sensitivity, span: Span) -> str:
     if found.transformation is None:
-        return f"{cpu(span.line.fixed_us)} once and {cpu(span.line.each_us)}/s"
+        return f"{cpu(span.line.fixed_us)} once and {_decimal(Fraction(span.line.each_us, _PERCENT_US))} % of a core"
     if not span.line.each_us:
         return f"{cpu(span.line.fixed_us)}, without {found.transformation}"
     return f"{cpu(span.line.fixed_us)} and {span.line.each_us} s times its upkeep"
@@ -139,23 +142,24 @@ def _decimal(value: Fraction) -> str:
 
 
 def _draw(found: Sensitivity, axes: Axes) -> None:
-    in_seconds = 1 if found.transformation is None else 1_000_000
+    in_units = 1 if found.transformation is None else _PERCENT_US
     right = _right_edge(found)
     for span in found.spans:
         ends = [span.begin, right if span.end is None else min(span.end, right)]
         costs = [(span.line.fixed_us + span.line.each_us * end) / 1_000_000 for end in ends]
         axes.plot(
-            [float(e / in_seconds) for e in ends], [float(c) for c in costs], label=_label(found, span), linewidth=2
+            [float(e / in_units) for e in ends], [float(c) for c in costs], label=_label(found, span), linewidth=2
         )
         if span.begin:
-            axes.plot([float(span.begin / in_seconds)], [float(costs[0])], "ko", markersize=5)
-            place = (float(span.begin / in_seconds), float(costs[0]))
+            axes.plot([float(span.begin / in_units)], [float(costs[0])], "ko", markersize=5)
+            place = (float(span.begin / in_units), float(costs[0]))
             text = value_text(span.begin, found)
             axes.annotate(text, place, xytext=(6, -12), textcoords="offset points", fontsize=9)
-    _mark_here(found, axes, right / in_seconds, Fraction(found.value) / in_seconds)
-    axes.set_xlabel("horizon (s)" if found.transformation is None else f"upkeep of {found.transformation} (s/s)")
+    _mark_here(found, axes, right / in_units, Fraction(found.value) / in_units)
+    upkeep = f"upkeep of {found.transformation} (% of a core)"
+    axes.set_xlabel("horizon (s)" if found.transformation is None else upkeep)
     axes.set_ylabel("least cost (CPU seconds)")
-    axes.set_xlim(left=0, right=float(right / in_seconds))
+    axes.set_xlim(left=0, right=float(right / in_units))
     axes.set_ylim(bottom=0)
     axes.set_title(headline(found), fontsize=10)
     axes.legend(fontsize=9, loc="lower right")

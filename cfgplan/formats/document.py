@@ -27,6 +27,7 @@ _OTHER_KINDS = {
     ".launch": ("a launch file", "make an environment of it: `cfgplan import ros1 FILE --out env.yaml`"),
     ".launch.py": _LAUNCH_FILE,
     ".launch.xml": _LAUNCH_FILE,
+    ".mcap": ("a recording", "take the environment of its run: `cfgplan replay FILE --extract FOLDER`"),
     ".py": ("Python code", "name its classes under `source:` of an environment file"),
 }
 """Files that are mistaken for an environment, by their ending, each with its mend."""

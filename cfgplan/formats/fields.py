@@ -250,12 +250,12 @@ class Part:
     @classmethod
     @cache
     def reader(cls) -> Reader:
-        """The function that makes a part of plain data. It raises RefusedError without saying why; see `models`."""
-        readers = {
-            key: reader_of(Annotated[each.form, Limits(**each.limits)] if each.limits else each.form, _reader_in)
-            for key, each in cls.all_keys().items()
-        }
-        needed = frozenset(key for key, each in cls.all_keys().items() if each.default is ...)
+        """The function that makes a part of plain data. It raises RefusedError without saying why; see `models`.
+
+        The reader of a key is made when the key first occurs, since most files have few of all keys.
+        """
+        keys, readers = cls.all_keys(), dict[str, Reader]()
+        needed = frozenset(key for key, each in keys.items() if each.default is ...)
         reader_by_key = readers.get
 
         def read(data: Any) -> Any:
@@ -266,7 +266,9 @@ class Part:
             for key, value in data.items():
                 reader = reader_by_key(key)
                 if reader is None:
-                    raise RefusedError
+                    if key not in keys:
+                        raise RefusedError
+                    reader = readers[key] = _reader_of_key(keys[key])
                 values[key] = reader(value)
             return part
 
@@ -342,11 +344,15 @@ def _row(key: str, each: Key) -> FieldRow:
     )
 
 
+def _reader_of_key(key: Key) -> Reader:
+    return reader_of(Annotated[key.form, Limits(**key.limits)] if key.limits else key.form, _reader_in)
+
+
 def _reader_in(form: Any) -> Reader:
     """Return the reader of a part that is a value of another. Raises TypeError for a class that is none."""
     if not (isinstance(form, type) and issubclass(form, Part)):
         raise TypeError(f"{form} has no reader")
-    return form.reader()
+    return lambda data: form.reader()(data)  # the part's forms are found when the first one is read
 
 
 def _selects(hint: Any) -> bool:

@@ -16,7 +16,7 @@ from urllib.request import HTTPSHandler, OpenerDirector, Request, build_opener
 from cfgplan.errors import InputError
 from cfgplan_runtime.outside.credentials import check_names, read_password
 from cfgplan_runtime.outside.payload_forms import PayloadForm, PayloadReader
-from cfgplan_runtime.outside.units import say
+from cfgplan_runtime.outside.units import say, words_of
 
 _TIMEOUT_S: Final = 5.0
 _LOGIN: Final = ("username", "password_env", "password_file", "token_env", "token_file")
@@ -60,7 +60,7 @@ class Poller:
             error.close()
             return self._away(f"answers {error.code} {error.reason}")
         except (OSError, HTTPException) as error:
-            return self._away(f"does not answer ({getattr(error, 'reason', error)})")
+            return self._away(f"does not answer ({words_of(getattr(error, 'reason', error))})")
         if len(payload) > _LONGEST:
             return self._away(f"answers more than {_LONGEST} bytes")
         if self._is_away:

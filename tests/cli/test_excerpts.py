@@ -83,3 +83,8 @@ def test_a_fault_of_an_included_file_shows_the_line_of_that_file(run: Run, tmp_p
     err = run("check", tmp_path / "env.yaml").err
     assert '    1 | {"transformations": [{"label": "a", "upkep": 1}]}\n' in err
     assert f"      | {' ' * 36}{'^' * 7}\n" in err
+
+
+def test_a_name_before_an_equals_sign_is_marked_with_its_value() -> None:
+    shown_lines = shown(Fault("there is no fact `x`"), ["ctl", "fact", "x=1"])
+    assert shown_lines == ["    $ cfgplan ctl fact x=1", "                       ^^^"]

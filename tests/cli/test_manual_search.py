@@ -101,6 +101,16 @@ def test_what_is_not_found_is_told(words: list[str], told: str, capsys: pytest.C
     assert told in capsys.readouterr().err
 
 
+def test_the_name_of_a_command_shows_its_options(capsys: pytest.CaptureFixture[str]) -> None:
+    shown = []
+    for words in (["help", "check"], ["check", "--help"]):
+        with pytest.raises(SystemExit):
+            main(words)
+        shown.append(capsys.readouterr().out)
+    assert shown[0].startswith("usage: cfgplan check ")
+    assert shown[0] == shown[1]
+
+
 def test_python_runs_the_package() -> None:
     call = [sys.executable, "-m", "cfgplan", "help", "glossary"]
     assert "Planning" in subprocess.run(call, capture_output=True, text=True, check=True).stdout

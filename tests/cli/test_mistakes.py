@@ -162,7 +162,13 @@ def test_what_is_told_to_programs_has_no_line_of_the_file(run: Run) -> None:
 
 
 @pytest.mark.parametrize(
-    ("wrong", "right"), [("topics", "ctl topics"), ("hz /somebody", "ctl hz"), ("env.yaml", "solve env.yaml")]
+    ("wrong", "right"),
+    [
+        ("topics", "ctl topics"),
+        ("hz /somebody", "ctl hz"),
+        ("status", "ctl state"),
+        ("env.yaml", "solve env.yaml"),
+    ],
 )
 def test_a_command_line_without_its_command_is_told_which(run: Run, wrong: str, right: str) -> None:
     code, _, err = run(*wrong.split())
@@ -170,6 +176,14 @@ def test_a_command_line_without_its_command_is_told_which(run: Run, wrong: str, 
     assert (code, said) == (REFUSED, f"error: there is no command `{wrong.split()[0]}`")
     assert carets == " " * len("    $ cfgplan ") + "^" * len(wrong.split()[0])
     assert f"`cfgplan {right}`" in mend
+
+
+@pytest.mark.parametrize(("wrong", "mend"), [("status", "did you mean `state`?"), ("explain", "did you mean `why`?")])
+def test_an_unknown_command_of_a_live_run_is_told_by_what_it_is_called_here(run: Run, wrong: str, mend: str) -> None:
+    said, _, carets, mended = run("ctl", wrong).err.rstrip("\n").split("\n")
+    assert said == f"error: argument COMMAND: invalid choice: '{wrong}'"
+    assert carets.strip() == "^" * len(wrong)
+    assert mended.strip().startswith(mend)
 
 
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "ascii"])

@@ -23,7 +23,7 @@ def test_it_says_for_which_horizons_the_plan_is_optimal_and_what_comes_next(
     result = run("sensitivity", write(TWO_WAYS))
     assert result.code == 0
     assert "The plan for a horizon of 10 s is optimal from 0 s to about 26.67 s." in result.out
-    assert "from about 26.67 s on: 9 s once and 0.2 s/s\n    + dear\n    - cheap" in result.out
+    assert "from about 26.67 s on: 9 s once and 20 % of a core\n    + dear\n    - cheap" in result.out
 
 
 def test_its_json_has_the_exact_break_points(run: Run, write: Callable[[str], Path]) -> None:
@@ -34,8 +34,11 @@ def test_its_json_has_the_exact_break_points(run: Run, write: Callable[[str], Pa
 
 def test_the_upkeep_of_a_transformation_can_vary(run: Run, write: Callable[[str], Path]) -> None:
     result = run("sensitivity", write(TWO_WAYS), "--upkeep-of", "cheap")
-    assert "The plan for cheap with an upkeep of 0.5 s/s is optimal from 0 s/s to 1 s/s." in result.out
-    assert "from 1 s/s on: 11 s, without cheap" in result.out
+    assert (
+        "The plan for cheap with an upkeep of 50 % of a core is optimal from 0 % of a core to 100 % of a core."
+        in result.out
+    )
+    assert "from 100 % of a core on: 11 s, without cheap" in result.out
     assert run("sensitivity", write(TWO_WAYS), "--upkeep-of", "cheep").code == 30
 
 
@@ -82,7 +85,7 @@ def test_names_are_drawn_as_they_are_written(run: Run, write: Callable[[str], Pa
     out = tmp_path / "breaks.svg"
     result = run("sensitivity", write(TWO_WAYS.replace("cheap", f"'{name}'")), "--upkeep-of", name, "--out", out)
     assert result.code == 0, result.err
-    assert f"<!-- upkeep of {name} (s/s) -->" in out.read_text()
+    assert f"<!-- upkeep of {name} (% of a core) -->" in out.read_text()
 
 
 def test_a_plot_without_matplotlib_is_refused_before_anything_is_planned(

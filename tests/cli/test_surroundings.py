@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import signal
@@ -14,6 +15,7 @@ from typing import Any
 import pytest
 from command import MODELS, Run
 
+from cfgplan import extras
 from cfgplan.cli.interrupts import Interrupts, ended_cleanly
 from cfgplan.planners import cpsat
 
@@ -104,6 +106,47 @@ def test_a_full_disk_is_told() -> None:
     for each in done:
         assert each.returncode == 30
         assert b"error: standard output: the output can't be written: No space left" in each.stderr
+        assert b"\n       free some space, or write to another disk\n" in each.stderr
+
+
+@pytest.mark.parametrize(
+    ("number", "mend"),
+    [
+        (errno.ENOSPC, "free some space, or write to another disk"),
+        (errno.EROFS, "allow writing there, or name another place"),
+        (errno.ENOENT, "make the folder first"),
+    ],
+)
+def test_a_file_that_can_not_be_written_is_told_with_a_mend_that_helps(
+    run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, number: int, mend: str
+) -> None:
+    def refused(*_: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr("cfgplan.api._replace", refused)
+    result = run("export", "schema", "--out", tmp_path / "schema.json")
+    assert result.code == 30
+    assert f"schema.json: can't be written: {os.strerror(number)}\n" in result.err
+    assert f"\n       {mend}\n" in result.err
+
+
+@pytest.mark.parametrize(
+    ("options", "package", "extra"),
+    [
+        (["--local"], "zenoh", "fleet"),
+        (["--record", "run.mcap"], "mcap", "record"),
+        (["--metrics-port", "0"], "prometheus_client", "metrics"),
+    ],
+)
+def test_a_run_names_a_missing_extra_before_it_plans(
+    run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, options: list[str], package: str, extra: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    find = extras.find_spec
+    monkeypatch.setattr(extras, "find_spec", lambda name: None if name == package else find(name))
+    result = run("run", FUSION, *options)
+    assert (result.code, result.out) == (30, "")
+    assert f"pip install 'cfgplan[{extra}]'" in result.err
 
 
 def test_a_package_that_is_missing_is_named(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -170,6 +213,7 @@ def test_an_interrupted_start_of_a_run_is_an_interruption_too(
 
     monkeypatch.setattr("cfgplan_runtime.operating.operation.Operation", interrupted)
     env = write("transformations: [{label: s, source: 'units.py:S', min_instances: 1, outputs: {x: A}}]\n")
+    env.with_name("units.py").write_text("def S():\n    return 1\n")
     result = run("run", env, "--no-estimates")
     assert (result.code, result.err) == (130, "interrupted\n")
 

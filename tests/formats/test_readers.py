@@ -12,8 +12,9 @@ from pydantic import BaseModel, ValidationError
 from test_schema_and_loader import VALUES, places, with_value
 
 from cfgplan.domain import InputPort, OutputPort, Transformation
-from cfgplan.formats.fields import EnvironmentPart, Part
-from cfgplan.formats.forms import RefusedError
+from cfgplan.formats import fields as file_fields
+from cfgplan.formats.fields import EnvironmentPart, Key, Part
+from cfgplan.formats.forms import Reader, RefusedError
 from cfgplan.formats.models import model_of
 from cfgplan.formats.yaml_text import read_yaml
 from cfgplan.transformations import transformation_of
@@ -94,3 +95,24 @@ def test_a_transformation_of_read_fields_is_as_the_constructor_makes_it() -> Non
         assert transformation_of(fields) == Transformation(**fields)
         assert repr(transformation_of(fields)) == repr(Transformation(**fields))
     assert json.dumps(transformation_of({"label": "t"}).takes | {}) == json.dumps(Transformation("t").takes | {})
+
+
+def test_a_key_gets_its_reader_when_it_first_occurs(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Two(Part):
+        one: str = file_fields.row("a text", ...)
+        other: str = file_fields.row("a text")
+
+    made, reader_of_key = [], file_fields._reader_of_key
+
+    def noted(key: Key) -> Reader:
+        made.append(key.default)
+        return reader_of_key(key)
+
+    monkeypatch.setattr(file_fields, "_reader_of_key", noted)
+    read = Two.reader()
+    assert [read({"one": "x"}).one, read({"one": "y"}).one] == ["x", "y"]
+    assert made == [...]
+    assert read({"one": "x", "other": "z"}).other == "z"
+    assert made == [..., None]
+    with pytest.raises(RefusedError):
+        read({"one": "x", "third": "z"})

@@ -66,6 +66,13 @@ def test_what_can_not_be_so_is_refused(name: str, value: str, message: str) -> N
     assert run.units == {"count.1", "work.1"}
 
 
+def test_a_fact_of_an_environment_without_facts_is_refused_with_the_place_to_declare_it() -> None:
+    environment = Environment(library=(source(), worker()), targets=(Target("result", worker().outputs[0].tag, "/r"),))
+    run = started(world=api.world(environment, horizon_s=60))
+    with pytest.raises(InputError, match=r"no fact `night` \(declare it under `facts:`"):
+        run.ask(SetFact("night", "true"))
+
+
 def test_a_preview_and_a_given_plan_see_the_facts_that_were_said() -> None:
     run = life()
     run.reviewed(SetFact("visibility", "1"))

@@ -66,7 +66,7 @@ def test_worlds_are_there_to_compare() -> None:
 def test_a_dry_run_answers_what_the_first_review_does(path: Path) -> None:
     world = startable(path)
     settings = Settings(policy=PATIENT, check=None)
-    said = first_review(world, settings, matches(world, most=FEW_PAIRS), path.parent).findings
+    said = first_review(world, settings, matches(world, most=FEW_PAIRS)).findings
     manager = begun(world)
     (review,) = manager.snapshot().reviews
     assert said.change_set == review.change_set

@@ -27,7 +27,8 @@ def test_a_fault_of_code_is_a_warning_before_anything_runs(
     assert main([verb, str(env)]) == 0
     said = capsys.readouterr().err
     place, _, what = SAYS.partition(": ")
-    assert f"warning: {env.with_name(place)}: camera(piff) can't be started: {what}, as {env}:" in said
+    assert f"warning: {env.with_name(place)}: camera(piff), detector(piff) can't be started: {what}\n" in said
+    assert said.count("can't be started") == 1, "one fault of a file is told once"
     assert "    1 | import nosuchmodule\n      |        ^^^^^^^^^^^^" in said
     (env.parent / "units.py").write_text(UNITS)
     assert main([verb, str(env)]) == 0
@@ -54,12 +55,24 @@ def test_broken_code_is_told_once_never_started_and_used_as_soon_as_it_is_mended
         assert len(await_event(run, "Reviewed", decision="applied")["change_set"]["started"]) == 2
 
 
+def test_a_run_shows_broken_code_once_with_its_line_and_the_review_says_why(
+    env: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (env.parent / "detectors.py").write_text(BROKEN)
+    env.write_text(env.read_text().replace("units.py:Detector", "detectors.py:Detector"))
+    assert main(["run", str(env), "--no-estimates", "--for", "500ms"]) == 12
+    said = capsys.readouterr()
+    assert said.err.count("is left out until its code changes") == 1
+    assert "    1 | import nosuchmodule\n      |        ^^^^^^^^^^^^" in said.err
+    assert "cause: start, detector(piff) can't be started" in said.out
+
+
 def test_a_run_that_could_start_nothing_does_not_begin(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (env.parent / "units.py").write_text(BROKEN)
     assert main(["run", str(env)]) == 30
     said = capsys.readouterr().err
-    assert "camera(piff): it imports nosuchmodule" in said
-    assert "detector(piff): it imports nosuchmodule" in said
+    assert f"error: {env.with_name('units.py')}:1:8: camera(piff), detector(piff): it imports nosuchmodule" in said
+    assert "    1 | import nosuchmodule\n      |        ^^^^^^^^^^^^" in said
 
 
 def test_code_that_is_broken_while_it_runs_stops_nothing(env: Path) -> None:

@@ -75,6 +75,16 @@ def test_no_text_lies_on_another_or_outside_and_no_figure_moves_anything(
         assert wrong == []
 
 
+@pytest.mark.parametrize("width", [390, 1000, 1440])
+def test_the_figures_of_the_head_are_shown_whole(page: PageServer, manager: FakeManager, width: int) -> None:
+    manager.shows(building(3))
+    with browser(page, viewport={"width": width, "height": 900}) as (tab, wrong):
+        await_frames(tab)
+        tab.evaluate("document.querySelectorAll('#tiles dd').forEach((one) => one.textContent = '0.424 % of a core')")
+        assert tab.evaluate("[...document.querySelectorAll('#tiles dd')].every((x) => x.scrollWidth <= x.clientWidth)")
+        assert wrong == []
+
+
 @pytest.mark.parametrize("window", WINDOWS, ids=["wide", "narrow"])
 def test_equal_units_are_one_node_that_unfolds_and_folds_again(
     page: PageServer, manager: FakeManager, window: dict[str, int]

@@ -132,8 +132,11 @@ def test_what_can_not_be_played_is_refused(ticks: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="0 times as fast"):
         Source(str(ticks), "/b", speed=0)
     (tmp_path / "text").write_text("no recording at all")
-    with pytest.raises(InputError, match="this is not a recording"):
+    with pytest.raises(InputError, match="this is not a recording \\(a recording of"):
         recorded(tmp_path / "text")
+    (tmp_path / "cut").write_bytes(ticks.read_bytes()[:100])
+    with pytest.raises(InputError, match="this recording is damaged: "):
+        recorded(tmp_path / "cut")
     with pytest.raises(InputError, match="no such file"):
         recorded(tmp_path / "nothing")
 
@@ -169,7 +172,7 @@ def test_a_recorded_run_is_planned_and_run_again(
 ) -> None:
     again = tmp_path / "again"
     assert main(["replay", str(run_recorded), "--extract", str(again)]) == 0
-    capsys.readouterr()
+    assert f"Next: `cfgplan solve {again / 'environment.yaml'}`" in capsys.readouterr().err
     assert main(["solve", str(again / "environment.yaml"), "--json"]) == 0
     planned = json.loads(capsys.readouterr().out)
     assert main(["solve", str(tmp_path / "env.yaml"), "--json"]) == 0

@@ -224,7 +224,9 @@ def test_what_a_launch_file_cannot_say_is_told(
 ) -> None:
     env.write_text(ENVIRONMENT.replace(old, new))
     assert main(["export", "launch", str(env)]) == 30
-    assert told in " ".join(capsys.readouterr().err.split())
+    said = " ".join(capsys.readouterr().err.split())
+    assert told in said
+    assert f"error: {env}" in said
 
 
 def test_a_launch_file_is_for_one_host() -> None:

@@ -396,7 +396,7 @@ def test_a_broker_that_is_not_there_yet_is_told_once(
     publish(broker.name, "x")(x=1)
     assert heard.next() == 1
     told += capsys.readouterr().out
-    assert told.count("does not answer") == 1
+    assert told.count("does not answer (Connection refused)") == 1
     assert f"{broker.name} is connected again" in told
 
 

@@ -123,7 +123,7 @@ def make(folder: Path, hosts: Mapping[str, Sequence[str]], *, passing_on: Iterab
                 (folder / name / _ACCESS).unlink()
             _write(folder / name / _ACCESS, access)
     except OSError as error:
-        raise InputError.of(f"can't be written: {error.strerror}", file=str(error.filename or folder)) from None
+        raise InputError.unwritable(error, str(error.filename or folder)) from None
     return [folder / name for name in names]
 
 

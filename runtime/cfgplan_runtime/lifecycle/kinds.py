@@ -139,7 +139,7 @@ def _facts_changed(changed: perturbations.FactsChanged) -> str:
 
 
 def _code_changed(changed: perturbations.CodeChanged) -> str:
-    return "code: " + _each_said((changed.left_out, "can't be started"), (changed.back, "may be started again"))
+    return _each_said((changed.left_out, "can't be started"), (changed.back, "may be started again"))
 
 
 def _world_changed(changed: perturbations.WorldChanged) -> str:
@@ -351,8 +351,8 @@ _PERTURBATIONS = (
     Kind(perturbations.FactsChanged, says=_facts_changed, because=lambda _: "facts have changed", optimises=True),
     Kind(
         perturbations.CodeChanged,
-        says=_code_changed,
-        because=lambda _: "code has changed",
+        says=lambda it: f"code: {_code_changed(it)}",
+        because=_code_changed,
         level=Level.WARNING,
         is_grave=lambda it: bool(it.left_out),
         optimises=True,

@@ -17,6 +17,7 @@ from cfgplan.errors import CfgplanError, InputError
 from cfgplan.extras import needed
 from cfgplan_runtime.children.unit_code import UNIT_VARIABLE
 from cfgplan_runtime.outside.credentials import check_names, read_password
+from cfgplan_runtime.outside.units import words_of
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client
@@ -134,7 +135,7 @@ class Connection:
         if (will := self._will) is not None:
             client.will_set(will["topic"], will.get("payload", ""), will.get("qos", 1), will.get("retain", False))
         client.on_connect = self._begun
-        client.on_connect_fail = lambda *_: self._tell_away(f"does not answer ({sys.exception()})")
+        client.on_connect_fail = lambda *_: self._tell_away(f"does not answer ({words_of(sys.exception())})")
         client.on_disconnect = self._ended
         client.on_message, client.on_publish, client.on_subscribe = self.on_message, self.on_publish, self.on_subscribe
         return client

@@ -97,6 +97,8 @@ class Settings:
     """A name by which `cfgplan ctl` and others find the run, besides its id."""
     first: Preview | None = None
     """The plan that was shown before the run: it is carried out first, unless it is stale by then."""
+    told: Mapping[str, str] = field(default_factory=dict)
+    """The faults of code that were shown with this plan, by the label of the transformation."""
 
 
 class Operation(Closable):
@@ -252,6 +254,7 @@ class Operation(Closable):
             request=self.manager.request,
             tell=self.show,
             reloads=settings.reloads,
+            told=settings.told,
         )
         self._sources.look_at(world.environment.library)
         self.manager.start()
@@ -396,4 +399,4 @@ def _open_log(path: Path) -> RunLog:
     try:
         return RunLog(path)
     except OSError as error:
-        raise InputError.of(f"can't be written: {error.strerror}", file=str(path)) from None
+        raise InputError.unwritable(error, str(path)) from None

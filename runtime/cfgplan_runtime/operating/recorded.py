@@ -164,7 +164,7 @@ def _image(body: Mapping[str, Any]) -> Any:
 def _opened(path: Path) -> Iterator[McapReader]:
     """Open a recording. Raises InputError if the file is none."""
     needed("recordings", "mcap")
-    from mcap.exceptions import McapError
+    from mcap.exceptions import InvalidMagic, McapError
     from mcap.reader import make_reader
 
     try:
@@ -174,7 +174,9 @@ def _opened(path: Path) -> Iterator[McapReader]:
         raise InputError.of("there is no such file", file=str(path), mend="check the path") from None
     except OSError as error:
         raise InputError.of(f"can't be read: {error.strerror}", file=str(path)) from None
+    except InvalidMagic:
+        raise InputError.of("this is not a recording", file=str(path), mend=_MEND) from None
     except McapError as error:
         raise InputError.of(
-            f"this is not a recording: {error or type(error).__name__}", file=str(path), mend=_MEND
+            f"this recording is damaged: {error or type(error).__name__}", file=str(path), mend=_MEND
         ) from None

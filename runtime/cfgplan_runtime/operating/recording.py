@@ -56,7 +56,7 @@ class Recording:
             mend = "name another, or remove it"
             raise InputError.of("the file exists already", file=str(path), mend=mend) from None
         except OSError as error:
-            raise InputError.of(f"can't be written: {error.strerror}", file=str(path)) from None
+            raise InputError.unwritable(error, str(path)) from None
         self.path = path
         self.written = 0
         self.lost = 0

@@ -6,6 +6,7 @@ import threading
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import TypeAlias
 
 from cfgplan.domain import ComputationUnit
@@ -20,17 +21,18 @@ SourceCheck: TypeAlias = Callable[[Transformation, Path], Fault | None]
 """What keeps units of a transformation from being started, by its source; files are relative to the folder."""
 
 
-def faults_of(library: Iterable[Transformation], folder: Path, check: SourceCheck | None) -> dict[str, str]:
+def faults_of(library: Iterable[Transformation], folder: Path, check: SourceCheck | None) -> dict[str, Fault]:
     """The faults of the code of transformations, by label; none without a check."""
     if check is None:
         return {}
     found = ((one.label, check(one, folder)) for one in library)
-    return {label: str(fault) for label, fault in found if fault is not None}
+    return {label: fault for label, fault in found if fault is not None}
 
 
-def left_out_text(label: str, fault: str) -> str:
-    """Return how a transformation is reported whose code can't be started."""
-    return f"{label} is left out until its code changes: {fault}"
+def left_out_text(labels: Sequence[str], fault: str) -> str:
+    """Return how transformations are reported whose code can't be started."""
+    one, many = "is left out until its code changes", "are left out until their code changes"
+    return f"{', '.join(labels)} {one if len(labels) == 1 else many}: {fault}"
 
 
 class Sources(FileWatch):
@@ -39,7 +41,8 @@ class Sources(FileWatch):
     `library` and `running` return the transformations and the running units. `check` finds the fault of a source; with
     None no code is checked, since other computers have it. `request` is called when the set of transformations that can
     be started changes, `tell` with each new fault. Modules with dotted names are watched if they are found; imports of
-    unit code are not. If it `reloads`, it requests a restart of units whose code has changed.
+    unit code are not. If it `reloads`, it requests a restart of units whose code has changed. Faults of `told`, by
+    label, are known to the user already.
     """
 
     def __init__(
@@ -52,11 +55,12 @@ class Sources(FileWatch):
         request: Callable[[FaultyCode | RestartUnits], object],
         tell: Callable[[str], object],
         reloads: bool = False,
+        told: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         super().__init__(self._labels_of_files, self._hear)
         self._folder, self._check = folder, check
         self._library, self._running, self._request, self._say = library, running, request, tell
-        self._reloads = reloads
+        self._reloads, self._shown = reloads, told
         self._faults: dict[str, str] = {}
         self._lock = threading.Lock()
         self._seen: Sequence[Transformation] | None = None
@@ -65,7 +69,7 @@ class Sources(FileWatch):
         """Look at all sources of a library. `changed` are the labels whose files have changed."""
         with self._lock:
             self._seen = library
-            self._note(faults_of(library, self._folder, self._check), changed)
+            self._note(self._faults_of(library), changed)
 
     def take_in_new_ones(self) -> None:
         self._follow()
@@ -80,13 +84,17 @@ class Sources(FileWatch):
         with self._lock:
             if self._faults:
                 faulty = [one for one in library if one.label in self._faults]
-                self._note(faults_of(faulty, self._folder, self._check), ())
+                self._note(self._faults_of(faulty), ())
+
+    def _faults_of(self, library: Iterable[Transformation]) -> dict[str, str]:
+        return {label: str(fault) for label, fault in faults_of(library, self._folder, self._check).items()}
 
     def _note(self, faults: Mapping[str, str], changed: Collection[str]) -> None:
         before, self._faults = self._faults, dict(faults)
         for label, fault in faults.items():
-            if before.get(label) != fault:
-                self._say(left_out_text(label, fault))
+            if fault not in (before.get(label), self._shown.get(label)):
+                self._say(left_out_text([label], fault))
+        self._shown = {}
         if faults != before or changed:
             self._request(FaultyCode(dict(faults), tuple(sorted(changed))))
 

@@ -11,6 +11,11 @@ ORDERS_LOOK_S: Final = 0.05
 """A source that gets no messages looks for orders so often."""
 
 
+def words_of(error: object) -> str:
+    """Return the words of an error; a system error's number is left out."""
+    return getattr(error, "strerror", None) or str(error)
+
+
 def say(text: str) -> None:
     """Report a line: the run shows each line that a unit prints."""
     print(text, flush=True)  # noqa: T201

@@ -9,7 +9,7 @@ import re
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from cfgplan.errors import Fault, InputError
+from cfgplan.errors import Fault, InputError, did_you_mean
 from cfgplan_runtime.reasoning.reader import SPELLED, Reader, Vocabulary
 from cfgplan_runtime.reasoning.syntax import Formula
 
@@ -73,6 +73,7 @@ TEXT: /"[^"\n]*"|'[^'\n]*'/
 LONGEST_FORMULA = 10_000
 FILE = "formula"
 """The file name in the faults of a formula."""
+_OPERATORS = ("always", "and", "eventually", "not", "or", "until")
 _FIRST_OF_A_PART = {"NAME", "NOT", "NUMBER"}
 
 
@@ -119,7 +120,21 @@ def _syntax_fault(error: Any, text: str) -> Fault:
     foreign = [word for word in re.findall(r"\w+", before) if word in SPELLED]
     if foreign:
         return Fault(message, FILE, line, column, mend=f"`{foreign[-1]}` is written {SPELLED[foreign[-1]]} here")
+    if (misspelt := _misspelt(text, len(before))) is not None:
+        return misspelt
     return Fault(message, FILE, line, column, mend=_hint(expected, found, text))
+
+
+def _misspelt(text: str, end: int) -> Fault | None:
+    """Return the fault of an operator that is misspelt, or written in capitals, at a mistake or right before it."""
+    words = [word for word in re.finditer(r"(?<![\w.])[^\W\d]\w*(?!\.)\b", text) if word.start() < end]
+    for word in reversed(words[-2:]):
+        close = None if word[0] in _OPERATORS else did_you_mean(word[0], _OPERATORS)
+        if close is not None:
+            start = word.start()
+            line, column = text.count("\n", 0, start) + 1, start - text.rfind("\n", 0, start)
+            return Fault(f"`{word[0]}` is not an operator", FILE, line, column, mend=close)
+    return None
 
 
 def _hint(expected: set[str], found: str, text: str) -> str:

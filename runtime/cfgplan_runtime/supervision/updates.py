@@ -343,12 +343,12 @@ class _Update:
         self.fail_if_dead()
         slow = self.loading(awaited)
         if slow and actual.is_abandoned:
-            raise _StepFailedError(f"it was given up while {', '.join(slow)} was starting", slow, is_abandoned=True)
+            raise _StepFailedError(f"it was given up while {_were(slow)} starting", slow, is_abandoned=True)
         if slow:
             for unit_id in slow:
                 yield Dump(unit_id)
             yield WaitUntil(lambda: actual.is_abandoned, TIME_TO_DUMP_S)
-            raise _StepFailedError(f"{', '.join(slow)} was not ready within {self.patience.start_s:g} s", slow)
+            raise _StepFailedError(f"{_were(slow)} not ready within {self.patience.start_s:g} s", slow)
 
     def rewire(self) -> Commands:
         actual, wanted, heirs = self.actual, self.wanted, self.heirs()
@@ -597,6 +597,10 @@ class _Update:
 def _state_name(environment: Environment, unit: ComputationUnit) -> str | None:
     transformation = environment.transformation.get(unit.transformation)
     return None if transformation is None else transformation.state_name
+
+
+def _were(units: list[str]) -> str:
+    return f"{', '.join(units)} {'was' if len(units) == 1 else 'were'}"
 
 
 def _either(said: float | None, usual: float) -> float:
