@@ -366,5 +366,6 @@ def test_a_drifting_world_costs_no_more_than_believing_what_is_declared() -> Non
     assert observed <= 1.1 * known
     still = drifting.drawn(1, "still")
     (declared, stays), (observed, changes) = (drifting.lived(still, observes=one) for one in (False, True))
-    assert changes == stays == 1
+    assert stays == 1
+    assert changes <= 2  # in this world another source is nearly as good
     assert observed <= 1.015 * declared  # looks cost that
