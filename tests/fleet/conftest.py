@@ -6,8 +6,8 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-import psutil
 import pytest
+from living import descendants
 
 ROOT = Path(__file__).parents[2]
 sys.path += [str(ROOT / "models" / "fleet"), str(ROOT / "experiments" / "fleet")]
@@ -18,9 +18,7 @@ def nothing_is_left_behind(tmp_path_factory: pytest.TempPathFactory, monkeypatch
     base = tmp_path_factory.mktemp("r")
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(base))
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
-    me = psutil.Process()
-    children = set(me.children(recursive=True))
+    children = descendants()
     yield
-    left = [child for child in set(me.children(recursive=True)) - children if child.status() != psutil.STATUS_ZOMBIE]
-    assert left == [], "processes"
+    assert descendants() - children == set(), "processes"
     assert list((base / "cfgplan").rglob("*")) == []

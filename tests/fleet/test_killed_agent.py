@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from pathlib import Path
 
 import psutil
 from cfgplan_runtime.supervision.events import HostLost
+from living import lives
 from small_fleet import eventually, seen, small_fleet
 
 from cfgplan.domain import ChangeSet, ComputationUnit, OutputPort, Transformation
-
-
-def is_alive(pid: int) -> bool:
-    with suppress(psutil.NoSuchProcess):
-        return bool(psutil.Process(pid).status() != psutil.STATUS_ZOMBIE)
-    return False
 
 
 def test_a_daemon_of_a_unit_ends_with_the_agent(tmp_path: Path) -> None:
@@ -26,8 +20,8 @@ def test_a_daemon_of_a_unit_ends_with_the_agent(tmp_path: Path) -> None:
         started = (ComputationUnit("counts.1", "counts", host="r2"),)
         runtime.apply(ChangeSet(started, added_transformations=(counts,)))
         eventually(lambda: note.exists() and note.read_text() != "")
-        daemon = int(note.read_text())
-        assert is_alive(daemon)
+        daemon = psutil.Process(int(note.read_text()))
+        assert lives(daemon)
         fleet.agents.processes["r2"].kill()
-        eventually(lambda: not is_alive(daemon))
+        eventually(lambda: not lives(daemon))
         eventually(lambda: bool(seen(runtime, HostLost)))

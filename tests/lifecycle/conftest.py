@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-import psutil
 import pytest
+from living import descendants
 from real_run import RealRun
 
 
@@ -17,13 +17,11 @@ def run_for_real(
     """An environment file that is watched, a manager, a runtime of processes, and a listener to /result."""
     base = tmp_path_factory.mktemp("r")  # short: a socket's path may have about 100 characters
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(base))
-    me = psutil.Process()
-    before = set(me.children(recursive=True))
+    before = descendants()
     run = RealRun(tmp_path)
     try:
         yield run
     finally:
         run.close()
-    left = [child for child in set(me.children(recursive=True)) - before if child.status() != psutil.STATUS_ZOMBIE]
-    assert left == [], "processes"
+    assert descendants() - before == set(), "processes"
     assert list((base / "cfgplan").rglob("*")) == []

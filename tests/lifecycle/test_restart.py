@@ -10,6 +10,7 @@ from pathlib import Path
 import psutil
 import pytest
 from cfgplan_runtime import subscribe
+from living import living
 from real_run import PATIENCE_S, RealRun, eventually, source, worker
 
 RUN = [sys.executable, "-c", "from cfgplan.cli import main; main()", "run", "--json", "--no-estimates"]
@@ -27,7 +28,7 @@ def test_nothing_outlives_a_killed_supervisor_and_another_goes_on_from_the_file(
     assert len(units) >= 3
     first.kill()
     first.wait()
-    eventually(lambda: not any(unit.is_running() and unit.status() != psutil.STATUS_ZOMBIE for unit in units))
+    eventually(lambda: not living(units))
     files.write(source(), worker(), worker("cheap", upkeep=0.0))
     second = subprocess.Popen([*RUN, str(files.file)], stdout=subprocess.DEVNULL)
     try:

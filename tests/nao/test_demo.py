@@ -20,6 +20,7 @@ import psutil
 import pytest
 from cfgplan_runtime import subscribe
 from football import scenario
+from living import descendants
 from nao_demo.story import WORLD, declared_by
 
 from cfgplan.cli import demo, main
@@ -32,10 +33,9 @@ PATIENCE_S = 60
 def nothing_is_left_behind(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     base = tmp_path_factory.mktemp("run")
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(base))
-    children = set(psutil.Process().children(recursive=True))
+    children = descendants()
     yield
-    left = set(psutil.Process().children(recursive=True)) - children
-    assert [child for child in left if child.status() != psutil.STATUS_ZOMBIE] == []
+    assert descendants() - children == set()
     assert list((base / "cfgplan").rglob("*")) == []
 
 

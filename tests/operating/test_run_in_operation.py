@@ -19,6 +19,7 @@ from typing import Any
 import psutil
 import pytest
 from cfgplan_runtime import subscribe
+from living import living
 from operated_world import ENVIRONMENT, PATIENCE_S, ROBOT, UNITS, await_event, eventually, write_world
 from operated_world import running as running_cold
 from warm import command
@@ -388,7 +389,7 @@ def test_a_killed_run_takes_its_units_along_and_the_next_begins_anew(
         units = psutil.Process(run.pid).children(recursive=True)
         assert len(units) > 2
         run.kill()
-    eventually(lambda: not [unit for unit in units if unit.is_running() and unit.status() != psutil.STATUS_ZOMBIE])
+    eventually(lambda: not living(units))
     with running(env) as again:
         await_event(again, "Running", units=2)
         assert main(["listen", "/result", "--count", "1", "--json", "--for", "60s"]) == 0

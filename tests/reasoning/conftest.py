@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-import psutil
 import pytest
+from living import descendants
 
 
 @pytest.fixture
@@ -15,9 +15,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPat
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(base))
     monkeypatch.setenv("XDG_CACHE_HOME", str(base / "cache"))
     monkeypatch.setenv("COLUMNS", "200")
-    me = psutil.Process()
-    children = set(me.children(recursive=True))
+    children = descendants()
     yield base
-    left = [child for child in set(me.children(recursive=True)) - children if child.status() != psutil.STATUS_ZOMBIE]
-    assert left == []
+    assert descendants() - children == set()
     assert list((base / "cfgplan").rglob("*")) == []

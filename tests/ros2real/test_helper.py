@@ -14,6 +14,7 @@ import psutil
 import pytest
 from cfgplan_runtime.ros2.host_link import HostLink
 from cfgplan_runtime.ros2.ros_python import environment_for, ros_python
+from living import lives
 from operated_world import eventually
 
 from cfgplan.errors import InputError
@@ -48,7 +49,7 @@ def test_the_helper_ends_with_the_process_that_has_started_it() -> None:
         assert owner.stdout is not None
         helper = psutil.Process(int(owner.stdout.readline()))
         os.kill(owner.pid, signal.SIGKILL)
-    eventually(lambda: not helper.is_running() or helper.status() == psutil.STATUS_ZOMBIE)
+    eventually(lambda: not lives(helper))
 
 
 def test_a_named_python_without_rclpy_is_told_with_its_own_words() -> None:

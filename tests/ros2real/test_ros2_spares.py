@@ -15,7 +15,7 @@ from cfgplan_runtime import ApplyError, Runtime
 from cfgplan_runtime.ros2.ros2_backend import Ros2Backend
 from cfgplan_runtime.supervision.events import Event, SpareLost, SparePrepared, SpareUsed, UnitDied, UnitPrinted
 from operated_world import PATIENCE_S, eventually
-from ros2_words import NODES, Observer
+from ros2_words import NODES, Observer, command_of
 from unit_signals import signal_unit
 
 from cfgplan.domain import (
@@ -91,11 +91,8 @@ def begin(runtime: Runtime, transformation: Transformation) -> None:
 
 def processes(word: str) -> set[int]:
     """Children whose command line has this word."""
-    found = set()
-    for child in psutil.Process().children(recursive=True):
-        if child.status() != psutil.STATUS_ZOMBIE and any(word in part for part in child.cmdline()):
-            found.add(child.pid)
-    return found
+    children = psutil.Process().children(recursive=True)
+    return {child.pid for child in children if any(word in part for part in command_of(child))}
 
 
 def test_a_lifecycle_node_is_configured_and_activated(runtime: Runtime, observer: Observer) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import psutil
 import pytest
 from cfgplan_runtime import Runtime
+from living import descendants
 from watching import StartRuntime
 from world import RESULT
 
@@ -21,11 +22,10 @@ def nothing_is_left_behind(tmp_path_factory: pytest.TempPathFactory, monkeypatch
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(base))
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
     me = psutil.Process()
-    children = set(me.children(recursive=True))
+    children = descendants()
     descriptors = me.num_fds()
     yield base
-    left = [child for child in set(me.children(recursive=True)) - children if child.status() != psutil.STATUS_ZOMBIE]
-    assert left == [], "processes"
+    assert descendants() - children == set(), "processes"
     assert list((base / "cfgplan").rglob("*")) == []
     assert me.num_fds() <= descriptors, "descriptors"
 

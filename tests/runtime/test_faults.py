@@ -44,6 +44,7 @@ from cfgplan_runtime.supervision.events import (
     UnitTooLarge,
 )
 from cfgplan_runtime.supervision.wiring import starved_units
+from living import lives, living
 from unit_signals import signal_unit, unit_pid
 from watching import Listener, StartRuntime, seen
 from world import PATIENCE_S, eventually, source, start, unit, worker
@@ -304,7 +305,7 @@ def test_what_a_unit_has_started_goes_with_it(run_units: StartRuntime) -> None:
     eventually(lambda: bool(process.children()))
     (child,) = process.children()[:1]
     process.kill()
-    eventually(lambda: not child.is_running() or child.status() == psutil.STATUS_ZOMBIE)
+    eventually(lambda: not lives(child))
 
 
 SUPERVISOR = """
@@ -330,7 +331,7 @@ def test_nothing_outlives_a_killed_supervisor(run_units: StartRuntime, nothing_i
         family = psutil.Process(supervisor.pid).children(recursive=True)
         assert len(family) == 4
         supervisor.kill()
-    eventually(lambda: not any(p.is_running() and p.status() != psutil.STATUS_ZOMBIE for p in family))
+    eventually(lambda: not living(family))
     runs = nothing_is_left_behind / "cfgplan"
     assert len(list(runs.iterdir())) == 1
     with pytest.raises(NoSuchTopicError):
@@ -362,10 +363,10 @@ def test_what_units_have_started_outlives_nobody_who_is_killed(nothing_is_left_b
             nursery = next(each for each in one.children() if "nursery" in " ".join(each.cmdline()))
             victim, left = (one, family) if killed == "the supervisor" else (nursery, relatives(nursery))
             victim.kill()
-            eventually(lambda: not any(p.is_running() and p.status() != psutil.STATUS_ZOMBIE for p in left))
+            eventually(lambda: not living(left))
         finally:
             supervisor.kill()
-    eventually(lambda: not any(p.is_running() and p.status() != psutil.STATUS_ZOMBIE for p in family))
+    eventually(lambda: not living(family))
     remove_dead_runs(base_folder())
 
 

@@ -19,6 +19,7 @@ from cfgplan_runtime.supervision.events import (
     UnitHung,
     UnitPrinted,
 )
+from living import lives
 from program_units import program, provider
 from unit_signals import signal_unit
 from watching import Listener, StartRuntime, seen
@@ -147,7 +148,7 @@ def test_a_program_dies_with_its_unit(run_units: StartRuntime, form: ProgramForm
     hosted = process_of(runtime.pid("work.1"))
     signal_unit(runtime, "work.1")
     eventually(lambda: bool(seen(runtime, UnitDied)))
-    eventually(lambda: not hosted.is_running() or hosted.status() == psutil.STATUS_ZOMBIE)
+    eventually(lambda: not lives(hosted))
 
 
 def test_a_program_that_hangs_is_killed(run_units: StartRuntime, form: ProgramFormat) -> None:
