@@ -186,6 +186,12 @@ class Scheduling(LoadGroupScheduling):
             self._reschedule(other)
         return left[0][1] if left else None
 
+    def mark_test_pending(self, item: str) -> None:
+        """Have the test in which a worker died run once more: see pytest-rerunfailures."""
+        self.workqueue.setdefault(self._split_scope(item), {})[item] = False
+        for node in self.nodes:
+            self._reschedule(node)
+
     def _reschedule(self, node: WorkerController) -> None:
         if node not in self.registered_collections:
             return

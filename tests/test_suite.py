@@ -82,10 +82,10 @@ def test_a_push_takes_a_share_of_the_seeds_of_each_test_and_others_the_next_time
     assert taken(1, share=100) > {"usual"}
 
 
-SUITE_WITH_TWO_DEATHS = """
+SUITE_WITH_DEATHS = """
 import os
-import time
 from itertools import repeat
+from pathlib import Path
 
 import pytest
 
@@ -101,11 +101,18 @@ def test_some(number):
 def test_group(number):
     if number == 1:
         sum(repeat(0))  # hears no signal
+
+
+@pytest.mark.flaky(reruns=1)
+def test_second_try():
+    if not Path("tried").exists():
+        Path("tried").touch()
+        os._exit(1)
 """
 
 
 def test_the_other_tests_of_a_worker_that_dies_or_hears_nothing_run_once(tmp_path: Path) -> None:
-    (tmp_path / "test_deaths.py").write_text(SUITE_WITH_TWO_DEATHS, encoding="utf-8")
+    (tmp_path / "test_deaths.py").write_text(SUITE_WITH_DEATHS, encoding="utf-8")
     (tmp_path / "conftest.py").write_text("from suite import pytest_xdist_make_scheduler\n", encoding="utf-8")
     (tmp_path / "suite.py").symlink_to(TESTS / "conftest.py")
     (tmp_path / "warm.py").symlink_to(TESTS / "warm.py")
@@ -114,6 +121,6 @@ def test_the_other_tests_of_a_worker_that_dies_or_hears_nothing_run_once(tmp_pat
     run = subprocess.run(
         [sys.executable, "-m", "pytest", *options], cwd=tmp_path, capture_output=True, text=True, timeout=300
     )
-    assert "2 failed, 13 passed" in run.stdout
+    assert "2 failed, 14 passed, 1 rerun" in run.stdout
     killers = re.findall(r"crashed while running 'test_deaths.py::(.*)'", run.stdout)
     assert sorted(killers) == ["test_group[1]", "test_some[5]"]
