@@ -67,10 +67,6 @@ class Begin:
         FLEETS,
     )
 
-    def attempts_among(self, labels: Sized) -> int:
-        """How many members of a first plan of these labels are tried to be left out."""
-        return self.attempts if len(labels) >= self.many else 0
-
 
 @dataclass(frozen=True)
 class Rise:
@@ -253,6 +249,11 @@ class Tuning:
 
 
 USUAL = Tuning()
+
+
+def attempts_among(labels: Sized, tuning: Tuning) -> int:
+    """Return how many members of a first plan of these labels are tried to be left out."""
+    return tuning.begin.attempts if len(labels) >= tuning.begin.many else 0
 
 
 def _rows(value: object, before: str) -> Iterator[tuple[str, object, Description]]:

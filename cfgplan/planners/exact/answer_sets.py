@@ -17,6 +17,7 @@ from cfgplan.planners.networks.greedy import first_plan
 from cfgplan.planners.networks.network import LexicographicWeights, Network
 from cfgplan.planners.solving.arrays import np
 from cfgplan.planners.solving.clock import Clock
+from cfgplan.planners.tuning import attempts_among
 
 if TYPE_CHECKING:
     from clingo import Model
@@ -33,7 +34,7 @@ def prove_by_answer_sets(work: SolveRun) -> bool:
     weights = LexicographicWeights.with_changes(work.problem, network)
     if weights is None or not _is_fit(weights, tuning.values) or not is_there("clingo"):
         return False
-    first = first_plan(network, weights.weight, clock.tuning.begin.attempts_among(network.labels), clock)
+    first = first_plan(network, weights.weight, attempts_among(network.labels, clock.tuning), clock)
     if first is None:
         return False
     plan = numbers(first)

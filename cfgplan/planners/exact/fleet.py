@@ -20,6 +20,7 @@ from cfgplan.planners.exact.remaining import Remaining, named_landmarks
 from cfgplan.planners.exact.solve_state import SolveState
 from cfgplan.planners.networks.core import Floats
 from cfgplan.planners.solving.arrays import np
+from cfgplan.planners.tuning import attempts_among
 from cfgplan.planning import Feature
 
 
@@ -39,7 +40,7 @@ def plan_fleet(candidates: Candidates, state: SolveState, last: Collection[str])
     known = candidates.kinds.keys() & set(last)
     is_known = bool(known) and first.offer(first.units_of(known))
     is_too_dear = problem.survive is not None  # each attempt needs spares
-    first.look(0 if is_too_dear or is_known else clock.tuning.begin.attempts_among(candidates.network.labels))
+    first.look(0 if is_too_dear or is_known else attempts_among(candidates.network.labels, clock.tuning))
     clock.end("first plans")
     if state.best is not None and state.best.key == (state.min_unused, (), least_us, rewired, started):
         state.prove_cost()
@@ -160,7 +161,7 @@ def look_among_few(candidates: Candidates, state: SolveState, first: FirstPlans)
     def among(size: int) -> Candidates:
         return candidates.among(_best(state).union(order[:size]))
 
-    attempts = tuning.begin.attempts_among(candidates.network.labels)
+    attempts = attempts_among(candidates.network.labels, tuning)
     if sizes:
         FirstPlans(among(sizes[0]), state).look(attempts)
     first.look(attempts)

@@ -16,6 +16,7 @@ from cfgplan.planners.exact.solve_state import Incumbent, SolveState
 from cfgplan.planners.networks.greedy import first_plan, support_of
 from cfgplan.planners.networks.network import LexicographicWeights, Network, costs
 from cfgplan.planners.solving.arrays import np
+from cfgplan.planners.tuning import attempts_among
 
 
 def take_with_all(work: SolveRun) -> None:
@@ -56,7 +57,7 @@ def _few(work: SolveRun, required: frozenset[str], avoided: set[int]) -> list[st
     avoided.update(label for way in ways for label in way)
     wanted = required.union(network.labels[i] for way in ways for i in way)
     wider = work.structure.network_with(work.problem, wanted, clock)
-    plan = first_plan(wider, costs(work.problem, wider)[1], clock.tuning.begin.attempts_among(wider.labels), clock)
+    plan = first_plan(wider, costs(work.problem, wider)[1], attempts_among(wider.labels, clock.tuning), clock)
     return None if plan is None else [wider.labels[i] for i in sorted(plan)]
 
 

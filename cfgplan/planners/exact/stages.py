@@ -16,6 +16,7 @@ from cfgplan.planners.networks.core import Core, Ints
 from cfgplan.planners.networks.greedy import FREE, cost_of, first_plan, is_plan, plan_at, with_less
 from cfgplan.planners.networks.network import LexicographicWeights, Network, costs
 from cfgplan.planners.solving.arrays import np
+from cfgplan.planners.tuning import attempts_among
 from cfgplan.reasons import unmet_reasons
 
 if TYPE_CHECKING:
@@ -109,7 +110,7 @@ def raise_bound(work: SolveRun) -> bool:
     if plan is not None and state.best is None:
         work.offer(plan)
     if is_new and plan is not None:
-        plan = with_less(network, weights.weight, plan, clock.tuning.begin.attempts_among(network.labels), clock)
+        plan = with_less(network, weights.weight, plan, attempts_among(network.labels, clock.tuning), clock)
     labels, part = None if plan is None else numbers(plan), None
     if labels is not None and memory.warm_start is not None and not weights.counts_starts:
         part = memory.warm_start.remaining(weights.weight, weights.step, labels, clock)
