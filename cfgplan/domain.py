@@ -515,8 +515,8 @@ class Environment:
     def with_qualities(self, seen: Mapping[Statement, int]) -> Environment:
         """The environment with the learned qualities of outputs; an output without any keeps its stated one.
 
-        `seen` is by how much each output's own contribution differs from the stated one, in micro-units; on the
-        statement's host, or without one, on all hosts that no statement has.
+        `seen` has the deviation of each output's own contribution from the stated one, in micro-units. The deviation of
+        a statement with a host counts on that host, of one without a host on all other hosts.
         """
         learned: dict[Statement, dict[str | None, int]] = {}
         for one, by in seen.items():
@@ -526,8 +526,8 @@ class Environment:
         return replace(self, library=tuple(changed.get(t.label, t) for t in self.library)) if changed else self
 
     def stated(self, statement: Statement) -> Contribution | None:
-        """Return the contribution of an output to a quality attribute, on the statement's host; None if it does not
-        exist, or the output, or the host.
+        """Return the contribution of an output to a quality attribute, on the statement's host; None if the environment
+        lacks the contribution, the output or the host.
         """
         transformation = self.transformation.get(statement.transformation)
         port = None if transformation is None else transformation.output.get(statement.output)

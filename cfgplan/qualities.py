@@ -293,7 +293,7 @@ class Contribution:
         return {None: self.seen, **dict(self.seen_on)} if self.seen else dict(self.seen_on)
 
     def on(self, host: str | None) -> Contribution:
-        """Return the contribution of a unit on a host: its value there, where one was learned."""
+        """Return the contribution of a unit on a host, with the value that was learned there, if any."""
         if not self.seen_on:
             return self
         seen = dict(self.seen_on).get(host or "", self.seen)

@@ -636,8 +636,8 @@ class Statement(NamedTuple):
 
 
 def as_taught(transformation: Transformation, learned: Mapping[Statement, Mapping[str | None, int]]) -> Transformation:
-    """Return the transformation as observed streams have taught it: by statement without a host, what was learned on
-    each host.
+    """Return the transformation with its learned qualities. `learned` has the deviations by host, in micro-units, for
+    each statement without its host.
     """
     outputs = (
         replace(

@@ -32,8 +32,8 @@ _NO_UNITS = Environment()
 
 @dataclass(frozen=True)
 class FirstPlan:
-    """A first plan of a world. `ended` are the ids of units of an earlier run that it does not adopt, `faults` those of
-    code that can't be started, by the label of the transformation.
+    """A first plan of a world. `ended` are the ids of units of an earlier run that it does not adopt. `faults` say, by
+    label, why the code of a transformation can't be started.
     """
 
     world: World
@@ -112,7 +112,7 @@ class FirstPlan:
 
 
 def show_faults(faults: Mapping[str, Fault], folder: Path, screen: Screen) -> None:
-    """Show the faults of code in a folder, by label, each one once for all transformations that have it."""
+    """Show each fault of code in a folder once, with the labels of all transformations that have it."""
     from cfgplan_runtime.operating.sources import left_out_text
 
     for fault, labels in grouped((fault, label) for label, fault in faults.items()).items():

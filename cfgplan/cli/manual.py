@@ -46,8 +46,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     pages, topic = manual_pages(), options.manual_page
     if not topic:
         screen.write(
-            f"`cfgplan help PAGE` shows a page, `cfgplan help WORDS` searches them, `cfgplan help COMMAND` lists the "
-            f"options of a command.\n{_listed(pages)}"
+            f"`cfgplan help PAGE` shows a page, `cfgplan help WORDS` searches all pages, `cfgplan help COMMAND` lists "
+            f"the options of a command.\n{_listed(pages)}"
         )
     elif len(topic) == 1 and topic[0] in pages:
         page = pages[topic[0]]

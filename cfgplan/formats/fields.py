@@ -252,7 +252,7 @@ class Part:
     def reader(cls) -> Reader:
         """The function that makes a part of plain data. It raises RefusedError without saying why; see `models`.
 
-        The reader of a key is made when the key first occurs, since most files have few of all keys.
+        The reader of a key is made when the key first occurs: most files use few of the keys.
         """
         keys, readers = cls.all_keys(), dict[str, Reader]()
         needed = frozenset(key for key, each in keys.items() if each.default is ...)

@@ -36,7 +36,7 @@ class QualityPart(_ObservedPart):
 
     output: str = Field(description="transformation/port")
     attribute: str
-    host: str | None = Field(default=None, description="where it was learned; absent: without hosts, or on all others")
+    host: str | None = Field(default=None, description="where it was learned; absent: no hosts, or all others")
     declared: Any = Field(default=None, description="what the environment file says")
     planned: Any = Field(description="what plans go by")
     estimate: Any = Field(default=None, description="the mean of what is known now")

@@ -61,9 +61,9 @@ def is_minimal(derived: Derivation, offered: Concept, demanded: Concept, ontolog
 
 
 def fewest(axioms: Sequence[str], first: Callable[[Iterable[Sequence[str]]], int | None]) -> list[str]:
-    """Return a minimal part of the axioms from which something follows, as it does from all of them.
+    """Return a minimal subset of the axioms from which something follows. It must follow from all of them.
 
-    `first` returns the place of the first of some parts from which it follows; None if there is none.
+    `first` returns the index of the first of several subsets from which it follows; None if there is none.
     """
     left = [*axioms]
     start, size = 0, max(1, len(left) // 2)
@@ -77,7 +77,7 @@ def fewest(axioms: Sequence[str], first: Callable[[Iterable[Sequence[str]]], int
 
 
 def _cuts(length: int, start: int, size: int) -> Iterator[tuple[int, int]]:
-    """Yield start and size of parts of a list: those of a size from `start` on, then ever smaller ones."""
+    """Yield start and size of the slices of a list: of this size from `start` on, then of half the size, down to 1."""
     while True:
         yield from ((at, size) for at in range(start, length, size))
         if size == 1:

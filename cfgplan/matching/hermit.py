@@ -33,7 +33,7 @@ _OUTPUT, _ERRORS = "said.txt", "errors.txt"
 """The files with the output of HermiT."""
 _UNREADABLE: Final = "It all went pear-shaped"
 _LOOK_S: Final = 0.05
-"""Seconds between looks for an answer after which no other is needed."""
+"""Seconds between two checks of whether the deciding answer has come."""
 
 
 def classify(document: str, *, time_limit_s: float | None = None) -> Sequence[tuple[str, str]]:
@@ -84,11 +84,11 @@ def satisfiable(
 def satisfiable_in_each(
     documents: Sequence[str], name: str, *, time_limit_s: float | None = None
 ) -> tuple[list[bool], ReasonerError | None]:
-    """Return whether a class can have a member by each of several documents, which one Java reads one after another.
+    """Return whether a class is satisfiable in each of several documents, which one Java reads one after another.
 
-    It ends soon after a document denies it, and at the first that HermiT refuses: the error is about the one after the
-    last answer. Documents are in functional syntax (ASCII). Raises ReasonerError if HermiT can't be started,
-    or can't read one of them.
+    The reasoner is stopped soon after the first "no". It ends at the first document that it refuses: the error is about
+    the document after the last answer. Documents are in functional syntax (ASCII). Raises ReasonerError if HermiT can't
+    be started, or can't read one of them.
     """
     import tempfile
 
@@ -108,7 +108,7 @@ def satisfiable_in_each(
 
 
 def _answers(said: Path) -> Sequence[tuple[str, str]]:
-    """Return the classes that HermiT answered about, each with "not " if nothing can be of it."""
+    """Return the classes that HermiT answered about, each with "not " if it is unsatisfiable."""
     return _ANSWER.findall(said.read_text("ascii", errors="replace"))
 
 
@@ -151,7 +151,7 @@ def _run(
 
 
 def _denies(process: Popen[bytes], said: Path, *, time_limit_s: float | None) -> bool:
-    """Wait for a process to end. Returns False once time is over, or it said that something can't be."""
+    """Wait for a process to end. Returns False once time is over, or an answer was "not satisfiable"."""
     from subprocess import TimeoutExpired
 
     deadline = math.inf if time_limit_s is None else time.monotonic() + time_limit_s

@@ -18,7 +18,7 @@ EXPLANATION_PATIENCE_S: Final = 20.0
 """Seconds for leaving out axioms to see whether they are needed."""
 
 _FEW: Final = 8
-"""So few axioms are left out one by one at once: a search among the nearest first would be one more call."""
+"""Up to this many axioms are minimised at once: to search the nearest ones first would be one more call."""
 _IRI_IN_BRACKETS: Final = re.compile(r"<[^<>\s]+>")
 
 
@@ -48,8 +48,8 @@ def _but_declarations(ontology: Ontology) -> list[str]:
 def _first(
     question: Concept, reference: Reference, is_sought: Callable[[bool | ReasonerError], bool]
 ) -> Callable[[Iterable[Sequence[str]]], int | None]:
-    """Return a function that finds the first part of axioms by which the answer to a question is sought, in the time
-    that is left of the patience; None if there is none, or the reasoner can't be asked.
+    """Return a function that returns the index of the first set of axioms with a sought answer to the question; None if
+    there is none, if time runs out, or if the reasoner fails.
     """
     left_s = countdown(EXPLANATION_PATIENCE_S)
 

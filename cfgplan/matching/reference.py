@@ -44,8 +44,8 @@ class Reference(Protocol):
     def satisfiable_in_each(
         self, documents: Sequence[str], name: str, *, time_limit_s: float | None = None
     ) -> tuple[list[bool], ReasonerError | None]:
-        """Whether a class can have members by each document, at least up to the first that denies it, or up to the
-        first that is refused, and with which error.
+        """Return whether a class is satisfiable in each document, at least up to the first "no". If a document is
+        refused, the answers end before it, and the error is returned with them.
         """
         ...
 
@@ -76,7 +76,7 @@ def reference_named(reasoner: str) -> tuple[str, Reference | None]:
 
 
 FIRST_DOCUMENTS, MOST_DOCUMENTS = 8, 128
-"""The numbers of ontologies of the first call and of the largest; to start a Java takes as long as some 20 of them."""
+"""The numbers of ontologies in the first and in the largest call. Java starts in the time of about 20 of them."""
 _NON_ASCII: Final = re.compile(r"[^\x00-\x7f]")
 
 
@@ -131,11 +131,11 @@ def first_answered(
     left_s: Callable[[], float | None],
     is_sought: Callable[[bool | ReasonerError], bool],
 ) -> int | None:
-    """Return the place of the first ontology by which the answer whether a concept is satisfiable, or the error, is
-    sought; None if there is none, or time is over first.
+    """Return the index of the first ontology with a sought answer: whether a concept is satisfiable, or the error.
+    None if there is none, or if time runs out.
 
-    Several ontologies are asked about in one call, ever more while none is found. Raises ReasonerError if the reasoner
-    can't be started.
+    Each call asks about several ontologies, and the next call about four times as many, up to MOST_DOCUMENTS. Raises
+    ReasonerError if the reasoner can't be started.
     """
     documents = (_document(ontology, {concept: 0}, [concept], ()) for ontology in ontologies)
     waiting: list[str] = []

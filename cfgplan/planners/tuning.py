@@ -57,8 +57,8 @@ class Decide:
 class Begin:
     """First plans."""
 
-    attempts: int = row(30, "members", "This many members of a first plan are tried to be left out.", LIBRARIES)
-    many: int = row(400, "labels", "Below it, that takes longer than it saves.", "`guard.py`, seeds 7410 to 7425")
+    attempts: int = row(30, "members", "The planner tries to leave out this many members of a first plan.", LIBRARIES)
+    many: int = row(400, "labels", "With fewer labels none is tried, to save time.", "`guard.py`, seeds 7410 to 7425")
     ways: int = row(4, "plans", "This many first plans are tried where transformations are required.", LIBRARIES)
     shares: tuple[float, ...] = row(
         (0.0, 0.5, 2.0, 8.0, 32.0),

@@ -1,7 +1,7 @@
 """Check plans with facts, facts of hosts and observed qualities in random worlds.
 
 A world has facts of the world and of hosts, transformations that require them, and outputs that report their quality,
-which is another on each host.
+which differs between hosts.
 A run (the real manager, with simulated units) gets values of facts and elements of streams. Its next review is
 compared with `solve --observed` of the file that `ctl observed --out` writes, with the plan of the same world without
 facts, in which each transformation lists the hosts that the present facts allow, and with the oracle. The judge

@@ -158,7 +158,7 @@ class OutputRule:
 
 
 def stated_of(port: OutputPort, attribute: QualityAttribute, hosts: Collection[HostName]) -> Contribution | None:
-    """The statement of an output about an attribute, on the host among some where its value is best."""
+    """Return the contribution of an output to an attribute, on that one of some hosts where it is best."""
     stated = next((c for c in port.quality if c.attribute == attribute.name), None)
     if stated is None or not stated.seen_on:
         return stated

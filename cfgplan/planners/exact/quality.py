@@ -206,7 +206,7 @@ class _Badness:
         return delay
 
     def _variants(self, stream: Stream) -> Iterator[tuple[list[LiteralT], tuple[int, list[HostName]]]]:
-        """The own values of a running stream's output with their hosts, and the literals that it is on one of these."""
+        """Yield each own value of a stream's output with its hosts, after the literals that its unit is on one."""
         from cfgplan.planners.exact.quality_numbers import variants_of
 
         unit = self.model.unit_of(stream)

@@ -366,7 +366,7 @@ def _asking_less(problem: Problem) -> Iterator[tuple[Problem, str]]:
 
 
 def _new_there(findings: Findings, place: Place) -> list[ComputationUnit]:
-    """The units that an update starts at a place, if it is worth it; at a place without a host, on any."""
+    """Return the units that an update starts at a place (without a host: anywhere); none if it is not worth it."""
     if findings.change_set is None or findings.decision is not Decision.APPLIED:
         return []
     new = (unit for unit in findings.change_set.started if unit.transformation == place.label and not unit.standby)

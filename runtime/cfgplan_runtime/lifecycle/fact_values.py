@@ -25,7 +25,7 @@ NEWS: Final = Fraction(1, 20)
 def fact_set(transition: Transition, name: str, value: str, request: Asked) -> Transition:
     """Set a fact by request, until a stream says another value. A review is due only if other units may run now."""
     state, facts = transition.state, transition.state.plan_input.world.environment.variable
-    known(name, facts, "fact", None if facts else "declare it under `facts:` of the environment file")
+    known(name, facts, "fact", None if facts else "declare it under `facts:` in the environment file")
     try:
         values = {**state.situation.facts, name: facts[name].read(value)}
     except InvalidValueError as error:

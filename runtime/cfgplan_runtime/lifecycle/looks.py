@@ -1,9 +1,9 @@
 """Looks: a transformation that may be better than the ones that run is run for some seconds, to observe its quality.
 
-A transformation that does not run is not observed, and one that runs elsewhere not on a host where it was found to be
-bad. If the planner would choose it with the quality that it may have there, it runs for LOOK_S seconds without
-subscribers; a slow stream is looked at until it has given enough elements. If a look finds nothing new, the next one at
-this place comes later.
+A transformation is observed only while it runs, and only on the hosts of its units. A place is a transformation on a
+host. If the planner would choose a place with the quality that it may have, the transformation runs there for LOOK_S
+seconds without subscribers; a slow stream is looked at until it has given enough elements. If a look finds nothing new,
+the next one at this place comes later.
 """
 
 from __future__ import annotations
@@ -51,10 +51,10 @@ class Idle(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Looks:
-    """When the next look at each transformation is due, and the look under way."""
+    """When the next look at each place is due, and the look under way."""
 
     pauses: Mapping[Place, Pause] = field(default_factory=dict)
-    """By place, whether anything was said in its look or not. The place of a first look has no host."""
+    """By place, also if its look observed nothing. The place of a first look has no host."""
     idle: Idle = field(default_factory=lambda: Idle(0.0))
     """The last time when no look was taken; at first, the start of the run."""
     impossible: frozenset[Place] = frozenset()
@@ -95,8 +95,8 @@ class Looks:
         return max(seen_s + least_interval_s, -inf if pause is None else pause.since_s + pause.interval_s)
 
     def begun(self, places: Sequence[Place], at_s: float, least_interval_s: float, *, is_possible: bool) -> Looks:
-        """Note that looks at places were planned, of which only the last one may be possible: the next ones come after
-        twice their intervals, at least.
+        """Note that looks at places were planned. If `is_possible`, the last one was possible, and no other. The next
+        look at each place comes after twice its interval, at least.
         """
         impossible = self.impossible.difference(places[-1:]) if is_possible else self.impossible
         impossible |= {*(places[:-1] if is_possible else places)}

@@ -130,8 +130,8 @@ class LinkMeasured(Perturbation, frozen=True):
 
 
 class LookDue(Perturbation, frozen=True):
-    """A transformation that may be better than the ones that run is run for some seconds, to observe its quality; with
-    a host, on this one.
+    """A transformation that may be better than the running ones runs for some seconds, to observe its quality. `host`
+    is the host of this look; null if the planner chooses it, or without hosts.
     """
 
     transformation: str

@@ -119,7 +119,7 @@ class QualityView:
     """The own part of an output, as observed streams have taught it; in micro-units, a factor in millionths.
 
     Plans go by `planned`: the `stated` value until the `estimate` is another for sure. `error` is the standard error of
-    the estimate, which was observed last `ago_s` seconds ago. It is that of units on a `host`; None without hosts.
+    the estimate, which was observed last `ago_s` seconds ago. `host` is where it was learned; None without hosts.
     """
 
     transformation: str

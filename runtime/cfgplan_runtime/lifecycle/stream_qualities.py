@@ -57,7 +57,7 @@ def qualities_learned(transition: Transition) -> Transition:
 
 
 def look_learned(transition: Transition) -> Transition:
-    """Learn from all that the streams of a look have said; the review at its end plans with all estimates of now."""
+    """Learn from all that the streams of a look have said; the review at its end plans with all present estimates."""
     transition, _, lesson = _taught(transition, ends_look=True)
     situation, world = transition.state.situation, _world_now(transition.state)
     now = planned_deviations(world, lesson.estimates, situation.qualities, transition.at_s)
@@ -70,9 +70,10 @@ def _world_now(state: State) -> Environment:
 
 
 def _taught(transition: Transition, *, ends_look: bool) -> tuple[Transition, Environment, Lesson]:
-    """Learn from the running streams; return them as an environment, too.
+    """Learn from the running streams. Return also the environment of the running units, and the lesson.
 
-    A stream confirms estimates once in TEACHES_S, one of a look at the end of the look: by all that it has said.
+    A stream confirms estimates once in TEACHES_S. A stream of a look does so at the end of the look, with all that it
+    has said.
     """
     state, at_s, world = transition.state, transition.at_s, _world_now(transition.state)
     seen, looked_at = state.seen, state.looks.units

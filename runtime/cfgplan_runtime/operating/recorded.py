@@ -178,5 +178,5 @@ def _opened(path: Path) -> Iterator[McapReader]:
         raise InputError.of("this is not a recording", file=str(path), mend=_MEND) from None
     except McapError as error:
         raise InputError.of(
-            f"this recording is damaged: {error or type(error).__name__}", file=str(path), mend=_MEND
+            f"this recording is damaged: {str(error) or type(error).__name__}", file=str(path), mend=_MEND
         ) from None

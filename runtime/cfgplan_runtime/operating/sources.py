@@ -30,7 +30,7 @@ def faults_of(library: Iterable[Transformation], folder: Path, check: SourceChec
 
 
 def left_out_text(labels: Sequence[str], fault: str) -> str:
-    """Return how transformations are reported whose code can't be started."""
+    """Return the report of transformations whose code can't be started."""
     one, many = "is left out until its code changes", "are left out until their code changes"
     return f"{', '.join(labels)} {one if len(labels) == 1 else many}: {fault}"
 
@@ -41,8 +41,8 @@ class Sources(FileWatch):
     `library` and `running` return the transformations and the running units. `check` finds the fault of a source; with
     None no code is checked, since other computers have it. `request` is called when the set of transformations that can
     be started changes, `tell` with each new fault. Modules with dotted names are watched if they are found; imports of
-    unit code are not. If it `reloads`, it requests a restart of units whose code has changed. Faults of `told`, by
-    label, are known to the user already.
+    unit code are not. If it `reloads`, it requests a restart of units whose code has changed. The user has
+    already seen the faults in `told`, by label.
     """
 
     def __init__(

@@ -12,7 +12,7 @@ ORDERS_LOOK_S: Final = 0.05
 
 
 def words_of(error: object) -> str:
-    """Return the words of an error; a system error's number is left out."""
+    """Return the message of an error, without the number of a system error."""
     return getattr(error, "strerror", None) or str(error)
 
 
