@@ -105,8 +105,14 @@ def mend_of_write(error: OSError) -> str | None:
             return "free some space, or write to another disk"
         case errno.EACCES | errno.EPERM | errno.EROFS:
             return "allow writing there, or name another place"
-        case errno.ENOENT | errno.ENOTDIR:
+        case errno.ENOENT:
             return "make the folder first"
+        case errno.ENOTDIR:
+            return "a part of this path is a file: name another place"
+        case errno.EISDIR:
+            return "it is a folder: name a file in it"
+        case errno.ENAMETOOLONG:
+            return "give it a shorter name"
     return None
 
 

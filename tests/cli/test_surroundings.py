@@ -115,6 +115,9 @@ def test_a_full_disk_is_told() -> None:
         (errno.ENOSPC, "free some space, or write to another disk"),
         (errno.EROFS, "allow writing there, or name another place"),
         (errno.ENOENT, "make the folder first"),
+        (errno.ENOTDIR, "a part of this path is a file: name another place"),
+        (errno.EISDIR, "it is a folder: name a file in it"),
+        (errno.ENAMETOOLONG, "give it a shorter name"),
     ],
 )
 def test_a_file_that_can_not_be_written_is_told_with_a_mend_that_helps(

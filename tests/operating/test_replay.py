@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 from collections.abc import Iterator
+from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,8 @@ from cfgplan_runtime.operating.messages import messages
 from cfgplan_runtime.operating.recorded import recorded, values
 from cfgplan_runtime.operating.recording import Recording
 from cfgplan_runtime.replay import Source
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from operated_world import PATIENCE_S, await_event, command, running, write_world
 
 from cfgplan.cli import main
@@ -135,10 +138,30 @@ def test_what_can_not_be_played_is_refused(ticks: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="this is not a recording \\(a recording of"):
         recorded(tmp_path / "text")
     (tmp_path / "cut").write_bytes(ticks.read_bytes()[:100])
-    with pytest.raises(InputError, match="this recording is damaged: "):
+    with pytest.raises(InputError, match=r"this recording is damaged .*mcap recover"):
         recorded(tmp_path / "cut")
     with pytest.raises(InputError, match="no such file"):
         recorded(tmp_path / "nothing")
+
+
+def damages(whole: bytes) -> st.SearchStrategy[bytes]:
+    """A file that was cut, or in which some bytes have changed, or anything else of a few bytes."""
+    place = st.integers(0, len(whole) - 1)
+
+    def changed(bytes_at: dict[int, int]) -> bytes:
+        return bytes(bytes_at.get(at, byte) for at, byte in enumerate(whole))
+
+    some = st.dictionaries(place, st.integers(0, 255), min_size=1, max_size=3)
+    return place.map(lambda length: whole[:length]) | some.map(changed) | st.binary(max_size=40)
+
+
+@settings(max_examples=600, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_a_damaged_recording_is_read_or_refused(ticks: Path, data: st.DataObject) -> None:
+    damaged = ticks.with_name("damaged")
+    damaged.write_bytes(data.draw(damages(ticks.read_bytes())))
+    with suppress(InputError):
+        recorded(damaged)
 
 
 def test_messages_of_other_programs_are_refused_by_name(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 from base64 import b64decode
 from collections.abc import Iterator, Mapping
@@ -21,7 +22,9 @@ OWN_TOPICS = "/cfgplan/"
 """Begins the topics of a run's own events and reviews, which are no streams."""
 ENVIRONMENT, ONTOLOGY = "environment.yaml", "ontology.ofn"
 """The attachments with the recorded run's environment and ontology."""
+_MAGIC = b"\x89MCAP0\r\n"
 _MEND = "a recording of `cfgplan run --record` is needed"
+_RECOVER = "use another copy, or save what can be read: `mcap recover FILE` (https://mcap.dev/guides/cli)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,21 +165,22 @@ def _image(body: Mapping[str, Any]) -> Any:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[McapReader]:
-    """Open a recording. Raises InputError if the file is none."""
+    """Open a recording. Raises InputError if the file is none, or a damaged one."""
     needed("recordings", "mcap")
-    from mcap.exceptions import InvalidMagic, McapError
     from mcap.reader import make_reader
 
     try:
         with path.open("rb") as file:
-            yield make_reader(file)
+            if file.read(len(_MAGIC)) != _MAGIC:
+                raise InputError.of("this is not a recording", file=str(path), mend=_MEND)
+            file.seek(0)
+            yield make_reader(file, validate_crcs=True)
+    except InputError:
+        raise
     except FileNotFoundError:
         raise InputError.of("there is no such file", file=str(path), mend="check the path") from None
-    except OSError as error:
-        raise InputError.of(f"can't be read: {error.strerror}", file=str(path)) from None
-    except InvalidMagic:
-        raise InputError.of("this is not a recording", file=str(path), mend=_MEND) from None
-    except McapError as error:
-        raise InputError.of(
-            f"this recording is damaged: {str(error) or type(error).__name__}", file=str(path), mend=_MEND
-        ) from None
+    except Exception as error:  # mcap checks little: a damaged file raises whatever its bytes lead to
+        if isinstance(error, OSError) and error.errno != errno.EINVAL:  # EINVAL: it seeks to a place before the file
+            raise InputError.of(f"can't be read: {error.strerror}", file=str(path)) from None
+        said = f"this recording is damaged ({type(error).__name__})"
+        raise InputError.of(said, file=str(path), mend=_RECOVER) from None
