@@ -143,7 +143,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         shared.needed_for_pages()
     for option, (who, package) in _EXTRAS.items():
         given = getattr(options, option)
-        if given is not None and given is not False and given != []:
+        if not options.dry_run and given is not None and given is not False and given != []:
             needed(who, package)
     run_targets.check_options(options)
     if not options.dry_run:

@@ -115,7 +115,8 @@ class PlanPart(_PlanPart):
     figures: Any = Field(default=None, description="cost by parts, quality, hosts and transfers, beyond the paper")
     facts: dict[str, FactUsed] = Field(default={}, description="the facts of the world that the plan was made with")
     qualities: dict[str, QualityUsed] = Field(
-        default={}, description="`transformation/port attribute`: qualities that the plan was made with, where observed"
+        default={},
+        description="`transformation/port attribute`, with hosts ` on HOST` too: observed qualities in the plan",
     )
     basis: dict[str, dict[str, str]] = Field(
         default={},

@@ -150,6 +150,8 @@ def test_a_run_names_a_missing_extra_before_it_plans(
     result = run("run", FUSION, *options)
     assert (result.code, result.out) == (30, "")
     assert f"pip install 'cfgplan[{extra}]'" in result.err
+    if "--local" not in options:  # it needs the hosts of a fleet
+        assert run("run", FUSION, *options, "--dry-run").code == 0
 
 
 def test_a_package_that_is_missing_is_named(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

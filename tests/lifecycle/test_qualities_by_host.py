@@ -136,7 +136,7 @@ def test_a_file_of_what_a_run_observed_has_the_hosts_and_gives_the_plan_of_the_r
     assert plan.cost_us == PLANNERS["exhaustive"](problem).cost_us
 
 
-def test_a_preview_has_the_qualities_by_host_in_its_plan_file_and_not_in_its_basis() -> None:
+def test_a_preview_has_the_qualities_by_host_in_its_plan_file() -> None:
     run = fleet(r1=lambda _: DIRTY, r2=lambda _: 0.25)
     run.pass_time(60)
     future = run.manager.preview()
@@ -144,4 +144,18 @@ def test_a_preview_has_the_qualities_by_host_in_its_plan_file_and_not_in_its_bas
     plan = json.loads(plan_text(future.result(0)))
     assert plan["qualities"]["camera/p error on r1"]["used"] == pytest.approx(0.8, rel=0.06)
     assert plan["qualities"]["camera/p error on r1"]["declared"] == 0.2
-    assert "error on r1" not in str(plan["basis"])
+
+
+def test_no_look_is_taken_at_a_camera_whose_quality_is_told_wherever_it_runs_while_it_runs_elsewhere() -> None:
+    """The camera is dirty on r1, where it would be "clean" as long as another unit says so of r2."""
+    camera = sensor("camera", CLEAN, 1_000, observe="diagnostics.camera.error")
+    world = watched(camera, sensor("lidar", 0.3, 100_000), hosts=HOSTS)
+    run = started(world=world, behaviours={"lidar": saying(lambda _: 0.3)})
+    (statement,) = (each for each in world.environment.observable if each.transformation == "camera")
+    for _ in range(900):
+        for unit in run.runtime.environment.units:
+            if unit.transformation == "camera":
+                run.manager.tell_quality(statement, {"r1": DIRTY, "r2": 0.25}[unit.host or ""])
+        run.pass_time(1)
+    assert looks_of(run) == []
+    assert places(run) == {("camera", "r2")}

@@ -165,3 +165,11 @@ def test_no_text_makes_anything_but_a_formula_or_faults_with_a_place(text: str) 
         parse(text, KNOWN)
     except InputError as error:
         assert all(fault.line and fault.column for fault in error.faults)
+
+
+@pytest.mark.parametrize("text", ["always (in(hand, land)", "in(hand, land", "in(hand, land) ball.x > 3"])
+def test_a_declared_name_is_no_misspelt_operator(text: str) -> None:
+    known = Vocabulary({"hand", "ball"}, {"land": region_from({"circle": [0, 0], "radius": 1})})
+    with pytest.raises(InputError) as told:
+        parse(text, known)
+    assert "is not an operator" not in str(told.value)

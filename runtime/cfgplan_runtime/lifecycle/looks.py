@@ -151,7 +151,8 @@ def last_seen_s(world: Environment, running: Environment, estimates: Estimates) 
     """Return when each place that a look can observe was last observed; -inf if it never was.
 
     A transformation has a place on each host where it was observed, and one without a host if it was observed nowhere.
-    Places of running units are left out, and losses, which are measured only at subscribers.
+    Places of running units are left out, losses, which are measured only at subscribers, and qualities that somebody
+    tells of a transformation, wherever it runs, while it runs elsewhere: they would be those of the other host.
     """
     runs = {
         Place(unit.transformation, host) for unit in running.units if not unit.standby for host in (None, unit.host)
@@ -161,11 +162,9 @@ def last_seen_s(world: Environment, running: Environment, estimates: Estimates) 
     found: dict[Place, float] = {}
     for statement in (*world.observable, *known):
         place, estimate = Place(statement.transformation, statement.host), known.get(statement)
-        is_loss, is_elsewhere = (
-            statement._replace(host=None) in world.losing,
-            place.host is None and place.label in on_hosts,
-        )
-        if not (place in runs or is_loss or is_elsewhere):
+        anywhere, is_elsewhere = statement._replace(host=None), place.host is None and place.label in on_hosts
+        is_told_of_others = anywhere in world.told and Place(place.label) in runs
+        if not (place in runs or anywhere in world.losing or is_elsewhere or is_told_of_others):
             found[place] = max(found.get(place, -inf), -inf if estimate is None else estimate.seen_s)
     return found
 

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -87,7 +88,7 @@ def parse(text: str, vocabulary: Vocabulary) -> Formula:
     try:
         tree = _parser().parse(text)
     except UnexpectedInput as error:
-        raise InputError([_syntax_fault(error, text)]) from None
+        raise InputError([_syntax_fault(error, text, {*vocabulary.features, *vocabulary.regions})]) from None
     reader = Reader(vocabulary, FILE)
     formula = reader.formula(tree)
     if reader.faults:
@@ -102,7 +103,7 @@ def _parser() -> Lark:
     return Lark(GRAMMAR, parser="lalr", propagate_positions=True)
 
 
-def _syntax_fault(error: Any, text: str) -> Fault:
+def _syntax_fault(error: Any, text: str, names: Collection[str]) -> Fault:
     from lark import UnexpectedCharacters
 
     expected = set(getattr(error, "allowed", None) or getattr(error, "expected", None) or ())
@@ -120,16 +121,19 @@ def _syntax_fault(error: Any, text: str) -> Fault:
     foreign = [word for word in re.findall(r"\w+", before) if word in SPELLED]
     if foreign:
         return Fault(message, FILE, line, column, mend=f"`{foreign[-1]}` is written {SPELLED[foreign[-1]]} here")
-    if (misspelt := _misspelt(text, len(before))) is not None:
+    if (misspelt := _misspelt(text, len(before), names)) is not None:
         return misspelt
     return Fault(message, FILE, line, column, mend=_hint(expected, found, text))
 
 
-def _misspelt(text: str, end: int) -> Fault | None:
-    """Return the fault of an operator that is misspelt, or written in capitals, at a mistake or right before it."""
+def _misspelt(text: str, end: int, names: Collection[str]) -> Fault | None:
+    """Return the fault of an operator that is misspelt, or written in capitals, at a mistake or right before it.
+
+    The `names` of features and regions are no operators, however close.
+    """
     words = [word for word in re.finditer(r"(?<![\w.])[^\W\d]\w*(?!\.)\b", text) if word.start() < end]
     for word in reversed(words[-2:]):
-        close = None if word[0] in _OPERATORS else did_you_mean(word[0], _OPERATORS)
+        close = None if word[0] in {*_OPERATORS, *names} else did_you_mean(word[0], _OPERATORS)
         if close is not None:
             start = word.start()
             line, column = text.count("\n", 0, start) + 1, start - text.rfind("\n", 0, start)
