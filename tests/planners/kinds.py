@@ -148,7 +148,10 @@ def far_apart(draw: st.DrawFn, problems: st.SearchStrategy[Problem]) -> Problem:
 
 
 def _in_whole_units(stated: Contribution) -> Contribution:
-    return stated if stated.rule is QualityRule.SCALE else replace(stated, value=stated.value * MICRO)
+    if stated.rule is QualityRule.SCALE:
+        return stated
+    plain = replace(stated, value=stated.stated * MICRO, seen=0, seen_on=())
+    return plain.taught({host: by * MICRO for host, by in stated.learned.items()})
 
 
 HOSTS, QUALITY, SURVIVAL = (frozenset({feature}) for feature in (Feature.HOSTS, Feature.QUALITY, Feature.SURVIVAL))
