@@ -131,12 +131,13 @@ def of_the_plain_model(problem: Problem) -> list[str]:
 
 @st.composite
 def far_apart(draw: st.DrawFn, problems: st.SearchStrategy[Problem]) -> Problem:
-    """Problems whose costs differ by a factor of 10^12, with qualities on the usual scale."""
+    """Problems whose costs differ by a factor of 10^12, with qualities of millionths and of whole units."""
     problem = draw(problems)
     costs_us = st.sampled_from([0, 1, MICRO, 10**6 * MICRO])
     library = []
     for t in problem.environment.library:
-        outputs = tuple(replace(port, quality=tuple(map(_in_whole_units, port.quality))) for port in t.outputs)
+        each = draw(st.sampled_from([1, MICRO]))
+        outputs = tuple(replace(port, quality=tuple(_times(each, one) for one in port.quality)) for port in t.outputs)
         library.append(replace(t, labor_us=draw(costs_us), upkeep_us=draw(costs_us), seen_us={}, outputs=outputs))
     qualities = tuple(QualityAttribute(a.name, a.better) for a in problem.environment.qualities)
     targets = tuple(
@@ -147,11 +148,11 @@ def far_apart(draw: st.DrawFn, problems: st.SearchStrategy[Problem]) -> Problem:
     return Problem(environment, problem.similarity, draw(st.sampled_from([0, 1, 7])))
 
 
-def _in_whole_units(stated: Contribution) -> Contribution:
+def _times(factor: int, stated: Contribution) -> Contribution:
     if stated.rule is QualityRule.SCALE:
         return stated
-    plain = replace(stated, value=stated.stated * MICRO, seen=0, seen_on=())
-    return plain.taught({host: by * MICRO for host, by in stated.learned.items()})
+    plain = replace(stated, value=stated.stated * factor, seen=0, seen_on=())
+    return plain.taught({host: by * factor for host, by in stated.learned.items()})
 
 
 HOSTS, QUALITY, SURVIVAL = (frozenset({feature}) for feature in (Feature.HOSTS, Feature.QUALITY, Feature.SURVIVAL))

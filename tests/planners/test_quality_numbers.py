@@ -117,3 +117,13 @@ def test_a_price_far_beyond_all_other_values_is_exact() -> None:
     nothing = problem.with_parts(library=tuple(t for t in problem.environment.library if t.label != "known"))
     found = plan(nothing)
     assert (found.status, found.cost_us) == (Status.OPTIMAL, 3 + LARGEST_QUALITY)
+
+
+def test_a_cycle_of_units_that_are_a_little_better_than_their_inputs_ends() -> None:
+    """Each time around it a stream would be better by a millionth: a bound is 50,000,000,000 times away."""
+    source = OutputPort("x", "", (Contribution("q", QualityRule.LIMIT, MICRO, Over.BEST),))
+    better = OutputPort("x", "", (Contribution("q", QualityRule.ADD, 1, Over.BEST),))
+    library = (kind("source", "", "A", output=source), kind("there", "A", "B", output=better), kind("back", "B", "A"))
+    target = Target("B", "B", "/B", quality=(Wish("q", 50_000 * MICRO),))
+    problem = world((target,), *library, qualities=(QualityAttribute("q", Better.HIGHER),))
+    assert plan(problem, time_limit_s=60).status is Status.INFEASIBLE

@@ -180,6 +180,10 @@ def most_badness(candidates: Candidates, attribute: QualityAttribute) -> dict[st
 
 
 def _most_badness(candidates: Candidates, attribute: QualityAttribute) -> dict[str, int]:
+    """Each round allows one more unit between a stream and what it is of use for; each unit is there once at most.
+
+    In a cycle of units that are better than their inputs, more rounds would allow more and more.
+    """
     most: dict[str, int] = {}
 
     def allow(tag: str, badness: int) -> bool:
@@ -203,7 +207,7 @@ def _most_badness(candidates: Candidates, attribute: QualityAttribute) -> dict[s
     ]
     meeting = grouped((tag, number) for number, (tags, _, _) in enumerate(fed) for tag in tags)
     ahead = set(most)
-    while ahead:
+    for _ in candidates.all:
         worse: set[str] = set()
         for number in candidates.clock.each(sorted({number for tag in ahead for number in meeting[tag]})):
             tags, making, inputs = fed[number]
@@ -212,6 +216,8 @@ def _most_badness(candidates: Candidates, attribute: QualityAttribute) -> dict[s
                 if allow(port.tag, attribute.scale if port.feedback else allowed):
                     worse.add(port.tag)
         ahead = worse
+        if not ahead:
+            break
     return most
 
 
