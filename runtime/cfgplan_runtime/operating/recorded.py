@@ -22,7 +22,7 @@ OWN_TOPICS = "/cfgplan/"
 """Begins the topics of a run's own events and reviews, which are no streams."""
 ENVIRONMENT, ONTOLOGY = "environment.yaml", "ontology.ofn"
 """The attachments with the recorded run's environment and ontology."""
-_MAGIC = b"\x89MCAP0\r\n"
+_FIRST_BYTES = b"\x89MCAP0\r\n"
 _MEND = "a recording of `cfgplan run --record` is needed"
 _RECOVER = "use another copy, or save what can be read: `mcap recover FILE` (https://mcap.dev/guides/cli)"
 
@@ -171,7 +171,7 @@ def _opened(path: Path) -> Iterator[McapReader]:
 
     try:
         with path.open("rb") as file:
-            if file.read(len(_MAGIC)) != _MAGIC:
+            if file.read(len(_FIRST_BYTES)) != _FIRST_BYTES:
                 raise InputError.of("this is not a recording", file=str(path), mend=_MEND)
             file.seek(0)
             yield make_reader(file, validate_crcs=True)
