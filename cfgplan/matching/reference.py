@@ -132,7 +132,7 @@ def first_answered(
     is_sought: Callable[[bool | ReasonerError], bool],
 ) -> int | None:
     """Return the index of the first ontology with a sought answer: whether a concept is satisfiable, or the error.
-    None if there is none, or if time runs out.
+    None if there is none, if time runs out, or if the reasoner answers nothing in its time.
 
     Each call asks about several ontologies, and the next call about four times as many, up to MOST_DOCUMENTS. Raises
     ReasonerError if the reasoner can't be started.
@@ -151,6 +151,8 @@ def first_answered(
             if is_sought(answer):
                 return place
             place += 1
+        if not told:
+            return None
         del waiting[: len(told)]
         size = min(4 * size, MOST_DOCUMENTS)
 

@@ -77,6 +77,19 @@ def test_nothing_is_found_once_time_is_over_and_no_more_ontologies_are_made_than
     assert len([*ontologies]) == 100 - FIRST_DOCUMENTS - 4 * FIRST_DOCUMENTS
 
 
+def test_a_reasoner_that_answers_nothing_in_its_time_is_not_asked_again() -> None:
+    class Silent(Refusing):
+        def satisfiable_in_each(
+            self, documents: Sequence[str], _: str, **_limits: float | None
+        ) -> tuple[list[bool], ReasonerError | None]:
+            self.sizes.append(len(documents))
+            return [], None
+
+    reasoner = Silent()
+    assert first_answered(reasoner, of("Denied"), TOP, lambda: None, lambda answer: answer is False) is None  # type: ignore[arg-type]
+    assert reasoner.sizes == [1]
+
+
 @pytest.mark.parametrize("needed", [(), (0,), (4,), (2, 3), (0, 6, 11), tuple(range(12))])
 def test_the_fewest_axioms_are_those_that_are_needed(needed: tuple[int, ...]) -> None:
     axioms = [f"axiom {number}" for number in range(12)]
