@@ -165,7 +165,6 @@ class Solve:
 
     small: int = row(1000, "booleans", "Below this size of a model, probing takes longer than it saves.", LIBRARIES)
     unexplained: int = row(100, "solutions", "So many that are no plans, for no known reason, are forbidden.", FLEETS)
-    tiny: int = row(400, "booleans", "Below this size, a second presolving takes longer than it saves.", LIBRARIES)
 
 
 @dataclass(frozen=True)

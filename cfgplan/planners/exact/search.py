@@ -313,8 +313,6 @@ class Search:
         solver = repeatable_solver(small=small, time_limit_s=self.state.clock.left_s())
         if ONLY_IN_THE_MODEL & self.problem.features and size < tuning.fleet.wired and not self.model.is_small:
             solver.parameters.linearization_level = 1
-        if size < tuning.solve.tiny:
-            solver.parameters.max_presolve_iterations = 1
         if self._left_s < inf:
             solver.parameters.max_deterministic_time = self._left_s
         return solver

@@ -63,7 +63,7 @@ class ExactModel(CpModel):
 def repeatable_solver(*, small: bool, time_limit_s: float | None) -> CpSolver:
     """A solver with one worker, which is repeatable, and full linearisation (the default proves 10 times as slowly).
 
-    In `small` models, probing and looking for symmetries take longer than they save.
+    In `small` models, probing, looking for symmetries and presolving more than once take longer than they save.
     """
     solver = CpSolver()
     solver.parameters.num_workers = 1
@@ -73,6 +73,7 @@ def repeatable_solver(*, small: bool, time_limit_s: float | None) -> CpSolver:
     if small:
         solver.parameters.cp_model_probing_level = 0
         solver.parameters.symmetry_level = 0
+        solver.parameters.max_presolve_iterations = 1
     if time_limit_s is not None:
         solver.parameters.max_time_in_seconds = time_limit_s
     return solver
