@@ -9,10 +9,8 @@ the labels that enter another zone, *behind* it, with a fact that it needs.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
-from itertools import chain
 from types import MappingProxyType
 
 from cfgplan.planners.networks.core import NEVER, Core, Floats, Ints
@@ -122,12 +120,14 @@ def landmark_of(
     least = min(most, max(takes for _, takes in entering))
     counts: dict[int, int] = {}
     for labels, takes in entering:
-        ways = [
-            _ways_to(core, replaceable_by[label], late, there) if label in replaceable_by else {label}
-            for label in labels
-        ]
-        for way, times in Counter(chain.from_iterable(ways)).items():
-            counts[way] = max(counts.get(way, 0), min(times * -(-least // takes), least))
+        each = -(-least // takes)
+        times: dict[int, int] = {}
+        for label in labels:
+            behind = replaceable_by.get(label)
+            for way in (label,) if behind is None else _ways_to(core, behind, late, there):
+                times[way] = times.get(way, 0) + each
+        for way, count in times.items():
+            counts[way] = max(counts.get(way, 0), min(count, least))
     for label in sorted(there & counts.keys()):
         if counts[label] < least:
             least -= counts.pop(label)
@@ -151,7 +151,10 @@ def _entering(core: Core, fact: int, late: Collection[int], there: Collection[in
 
 def _ways_to(core: Core, zone: Collection[int], late: Collection[int], there: Collection[int]) -> set[int]:
     """The labels that may enter a zone first, before any that are late."""
-    needed_by = core.needed_by.lists
+    providers, needed_by, takes = core.providers.lists, core.needed_by.lists, core.multi_takes
+    if takes.keys().isdisjoint(zone):
+        ways = set().union(*[providers[fact] for fact in zone])
+        return ways.difference(late, *[needed_by[fact] for fact in zone])
     later = set(late).union(*[needed_by[fact] for fact in zone])
     return {label for fact in zone for label in _entering(core, fact, later, there)[0]}
 
@@ -185,10 +188,11 @@ def ways_into(core: Core, goal: int, facts: list[int], residual: list[int]) -> L
         return zone
 
     zone = spread([goal], True)
+    in_zone = set(zone)
     replaceable_by = {
         label: spread([max(needs[label], key=facts.__getitem__)], False)
         for label in sorted({label for fact in multi_facts for label in providers[fact]} - there)
-        if not residual[label] and needs[label] and set(zone).isdisjoint(needs[label])
+        if not residual[label] and needs[label] and in_zone.isdisjoint(needs[label])
     }
     landmark = landmark_of(core, zone, frozenset(there), replaceable_by)
     if landmark.multi_demand is not None and any(

@@ -54,7 +54,8 @@ class ExactModel(CpModel):
             largest = self._largest.get(variable)
             if largest is None:
                 reference = variable if variable >= 0 else -variable - 1
-                largest = self._largest[variable] = max(map(abs, self.proto.variables[reference].domain))
+                domain = self.proto.variables[reference].domain  # ascending; it takes no negative index
+                largest = self._largest[variable] = max(-domain[0], domain[len(domain) - 1])
             if largest > WIDEST or abs(coefficient) * largest > LARGEST_PRODUCT:
                 return False
         return True
