@@ -150,7 +150,9 @@ class Near:
     kernel: float = row(
         15.0, "the engine's us/label^1.5", "Labels that are used are searched so long first.", LIBRARIES
     )
-    small: int = row(1000, "labels", "Below it, probing takes longer than it saves.", LIBRARIES)
+    small: int = row(
+        1000, "labels", "Below it, probing takes longer than it saves, and so does presolving twice.", LIBRARIES
+    )
     in_vain: float = row(30.0, "the engine's us/label^1.5", "They end so long after the last cheaper plan.", LIBRARIES)
     times: int = row(8, "times", "Needs are chosen so often where one choice gives no missed landmark.", LIBRARIES)
     share: float = row(0.5, "share", "They take at most this part of the time that is left.", LIBRARIES)
@@ -163,7 +165,12 @@ class Near:
 class Solve:
     """The solver."""
 
-    small: int = row(1000, "booleans", "Below this size of a model, probing takes longer than it saves.", LIBRARIES)
+    small: int = row(
+        1000,
+        "booleans",
+        "Below this size of a model, probing and presolving twice take longer than they save.",
+        LIBRARIES,
+    )
     unexplained: int = row(100, "solutions", "So many that are no plans, for no known reason, are forbidden.", FLEETS)
 
 
@@ -192,7 +199,9 @@ class Fleets:
     recounts: int = row(3, "times", "Units that can't be placed are counted again this often.", DEPLOYMENTS)
     apart: int = row(12, "hosts", "Up to here each is looked at by itself where not all fits.", DEPLOYMENTS)
     company: float = row(10.0, "hosts", "Units with company, or that are it, weigh at most this.", DEPLOYMENTS)
-    small: int = row(20_000, "booleans", "Below this size of a fleet's model, probing takes too long.", FLEETS)
+    small: int = row(
+        20_000, "booleans", "Below this size of a fleet's model, probing and presolving twice take too long.", FLEETS
+    )
     few: int = row(20, "candidates", "Up to here who feeds whom is ordered and relaxed in full.", TOYS)
     wired: int = row(12_000, "booleans", "Below it, relaxing who feeds counted inputs in full takes too long.", SERVED)
 
