@@ -176,7 +176,7 @@ def test_what_a_fleet_gives_is_published_too(env: Path, observer: Observer) -> N
         "format: cfgplan/1\n"
         "hosts: [{name: here}, {name: there}]\n"
         "transformations:\n"
-        "  - {label: counter, host: there, source: 'counting.py:count', run: {rate: 50}, outputs: {number: Number}}\n"
+        "  - {label: counter, host: there, source: 'counting.py:count', run: {rate: 10}, outputs: {number: Number}}\n"
         "targets:\n"
         "  - {label: number, topic: /number, tag: Number, type: std_msgs/UInt64}\n"
     )

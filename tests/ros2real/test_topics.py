@@ -59,7 +59,7 @@ def test_what_is_published_arrives_in_order(opened: Open, observer: Observer, te
 
     def talk() -> None:
         number = 0
-        while not is_over.wait(0.002):
+        while not is_over.wait(0.01):  # the queue of 100 holds a second
             publisher.put(text.encode(str(number), NOW_NS))
             number += 1
 

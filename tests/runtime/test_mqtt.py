@@ -245,11 +245,12 @@ def test_the_session_of_a_unit_ends_with_it(
     monkeypatch.setenv("CFGPLAN_UNIT", "run/reader.1")
     first = hear(broker.name, "x")
     monkeypatch.delenv("CFGPLAN_UNIT")
-    publisher = publish(broker.name, "x")
+    witness, publisher = hear(broker.name, "x"), publish(broker.name, "x")
     publisher(x=1)
-    assert first.next() == 1
+    assert first.next() == witness.next() == 1
     first.close()
     publisher(x=2)
+    assert witness.next() == 2, "the broker has it before the session begins again"
     monkeypatch.setenv("CFGPLAN_UNIT", "run/reader.1")
     again = hear(broker.name, "x")
     publisher(x=3)
