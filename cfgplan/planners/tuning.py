@@ -199,9 +199,7 @@ class Fleets:
     recounts: int = row(3, "times", "Units that can't be placed are counted again this often.", DEPLOYMENTS)
     apart: int = row(12, "hosts", "Up to here each is looked at by itself where not all fits.", DEPLOYMENTS)
     company: float = row(10.0, "hosts", "Units with company, or that are it, weigh at most this.", DEPLOYMENTS)
-    small: int = row(
-        20_000, "booleans", "Below this size of a fleet's model, probing and presolving twice take too long.", FLEETS
-    )
+    small: int = row(20_000, "booleans", "Below this size of a fleet's model, probing takes too long.", FLEETS)
     few: int = row(20, "candidates", "Up to here who feeds whom is ordered and relaxed in full.", TOYS)
     wired: int = row(12_000, "booleans", "Below it, relaxing who feeds counted inputs in full takes too long.", SERVED)
 

@@ -311,7 +311,9 @@ def _of_order(place: int, key: Key) -> int:
 
 
 def _solver(model: Model, clock: Clock) -> CpSolver:
-    is_small = len(model.cp.proto.variables) < clock.tuning.fleet.small
-    solver = repeatable_solver(small=is_small, time_limit_s=clock.left_s())
+    size, tuning = len(model.cp.proto.variables), clock.tuning
+    solver = repeatable_solver(
+        small=size < tuning.solve.small, probes=size >= tuning.fleet.small, time_limit_s=clock.left_s()
+    )
     solver.parameters.cut_level = 1
     return solver

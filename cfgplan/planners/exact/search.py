@@ -309,8 +309,11 @@ class Search:
         """A solver for one round, with the time that is left."""
         size, tuning = len(self.model.literals), self.state.clock.tuning
         is_large = self._has_hosts or self.model.asks_for_quality
-        small = size < (tuning.fleet.small if is_large else tuning.solve.small)
-        solver = repeatable_solver(small=small, time_limit_s=self.state.clock.left_s())
+        solver = repeatable_solver(
+            small=size < tuning.solve.small,
+            probes=not is_large or size >= tuning.fleet.small,
+            time_limit_s=self.state.clock.left_s(),
+        )
         if ONLY_IN_THE_MODEL & self.problem.features and size < tuning.fleet.wired and not self.model.is_small:
             solver.parameters.linearization_level = 1
         if self._left_s < inf:

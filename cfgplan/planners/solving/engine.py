@@ -61,10 +61,11 @@ class ExactModel(CpModel):
         return True
 
 
-def repeatable_solver(*, small: bool, time_limit_s: float | None) -> CpSolver:
+def repeatable_solver(*, small: bool, probes: bool = True, time_limit_s: float | None) -> CpSolver:
     """A solver with one worker, which is repeatable, and full linearisation (the default proves 10 times as slowly).
 
-    In `small` models, probing, looking for symmetries and presolving more than once take longer than they save.
+    In `small` models, probing, looking for symmetries and presolving more than once take longer than they save. Without
+    `probes`, larger ones are neither probed nor searched for symmetries.
     """
     solver = CpSolver()
     solver.parameters.num_workers = 1
@@ -72,9 +73,10 @@ def repeatable_solver(*, small: bool, time_limit_s: float | None) -> CpSolver:
     solver.parameters.linearization_level = 2
     solver.parameters.cut_level = 0
     if small:
+        solver.parameters.max_presolve_iterations = 1
+    if small or not probes:
         solver.parameters.cp_model_probing_level = 0
         solver.parameters.symmetry_level = 0
-        solver.parameters.max_presolve_iterations = 1
     if time_limit_s is not None:
         solver.parameters.max_time_in_seconds = time_limit_s
     return solver
