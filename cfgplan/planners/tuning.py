@@ -150,9 +150,7 @@ class Near:
     kernel: float = row(
         15.0, "the engine's us/label^1.5", "Labels that are used are searched so long first.", LIBRARIES
     )
-    small: int = row(
-        1000, "labels", "Below it, probing takes longer than it saves, and so does presolving twice.", LIBRARIES
-    )
+    small: int = row(1000, "labels", "Below it, probing takes longer than it saves.", LIBRARIES)
     in_vain: float = row(30.0, "the engine's us/label^1.5", "They end so long after the last cheaper plan.", LIBRARIES)
     times: int = row(8, "times", "Needs are chosen so often where one choice gives no missed landmark.", LIBRARIES)
     share: float = row(0.5, "share", "They take at most this part of the time that is left.", LIBRARIES)
