@@ -163,13 +163,9 @@ class Near:
 class Solve:
     """The solver."""
 
-    small: int = row(
-        1000,
-        "booleans",
-        "Below this size of a model, probing and presolving twice take longer than they save.",
-        LIBRARIES,
-    )
+    small: int = row(1000, "booleans", "Below this size of a model, probing takes longer than it saves.", LIBRARIES)
     unexplained: int = row(100, "solutions", "So many that are no plans, for no known reason, are forbidden.", FLEETS)
+    tiny: int = row(500, "booleans", "Below this size, a second presolving takes longer than it saves.", LIBRARIES)
 
 
 @dataclass(frozen=True)

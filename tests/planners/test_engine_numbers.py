@@ -33,7 +33,7 @@ def least_of_three(least: int, largest: int) -> tuple[ExactModel, IntVar]:
 
 
 def full_solver() -> CpSolver:
-    return repeatable_solver(small=True, time_limit_s=20)
+    return repeatable_solver(small=True, tiny=True, time_limit_s=20)
 
 
 def test_the_engine_is_right_where_it_says_infeasible_of_a_model_with_a_solution() -> None:

@@ -159,8 +159,7 @@ class Neighbourhoods:
             model.add_hint(use, label in self.best)
         end = self._took + work
         while self._took < end and not clock.is_over():
-            probes = core.goal >= self._tuning.small
-            solver = repeatable_solver(small=False, probes=probes, time_limit_s=clock.left_s())
+            solver = repeatable_solver(small=core.goal < self._tuning.small, time_limit_s=clock.left_s())
             solver.parameters.max_deterministic_time = end - self._took
             status = solve(solver, model, clock)
             self._took += solver.response_proto.deterministic_time + self._look

@@ -313,7 +313,7 @@ def _of_order(place: int, key: Key) -> int:
 def _solver(model: Model, clock: Clock) -> CpSolver:
     size, tuning = len(model.cp.proto.variables), clock.tuning
     solver = repeatable_solver(
-        small=size < tuning.solve.small, probes=size >= tuning.fleet.small, time_limit_s=clock.left_s()
+        small=size < tuning.fleet.small, tiny=size < tuning.solve.tiny, time_limit_s=clock.left_s()
     )
     solver.parameters.cut_level = 1
     return solver

@@ -95,7 +95,7 @@ class Patterns:
             found.append({n: number for n, there in self._there.items() if (number := solution.value(there))})
             return True
 
-        solver = repeatable_solver(small=True, time_limit_s=clock.left_s())
+        solver = repeatable_solver(small=True, tiny=True, time_limit_s=clock.left_s())
         solver.parameters.max_deterministic_time = clock.tuning.fleet.price
         return found if solve(solver, self._cp, clock, look_at) == OPTIMAL else []
 

@@ -310,8 +310,8 @@ class Search:
         size, tuning = len(self.model.literals), self.state.clock.tuning
         is_large = self._has_hosts or self.model.asks_for_quality
         solver = repeatable_solver(
-            small=size < tuning.solve.small,
-            probes=not is_large or size >= tuning.fleet.small,
+            small=size < (tuning.fleet.small if is_large else tuning.solve.small),
+            tiny=size < tuning.solve.tiny,
             time_limit_s=self.state.clock.left_s(),
         )
         if ONLY_IN_THE_MODEL & self.problem.features and size < tuning.fleet.wired and not self.model.is_small:

@@ -31,7 +31,7 @@ def can_share(candidates: Candidates) -> bool:
     for i, (one, following) in enumerate(pairwise(candidates.all)):
         if (one.transformation.label, one.hosts) == (following.transformation.label, following.hosts):
             model.cp.add_implication(model.runs[i + 1], model.runs[i])
-    solver = repeatable_solver(small=True, time_limit_s=candidates.clock.left_s())
+    solver = repeatable_solver(small=True, tiny=True, time_limit_s=candidates.clock.left_s())
     status = solve(solver, model.cp, candidates.clock)
     if status not in (OPTIMAL, FEASIBLE, INFEASIBLE):
         raise OutOfTimeError

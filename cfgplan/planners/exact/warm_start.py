@@ -124,5 +124,5 @@ def _is_without_tie(bound: Bound, plan: Ints, limit: int, clock: Clock) -> bool:
     model.add(model.cost <= limit)
     left_s, longest_s = clock.left_s(), clock.tuning.replan.ties
     longest_s = longest_s if left_s is None else min(longest_s, left_s)
-    solver = repeatable_solver(small=False, probes=core.goal >= 1000, time_limit_s=longest_s)
+    solver = repeatable_solver(small=core.goal < 1000, time_limit_s=longest_s)
     return solve(solver, model, clock) == INFEASIBLE

@@ -61,11 +61,11 @@ class ExactModel(CpModel):
         return True
 
 
-def repeatable_solver(*, small: bool, probes: bool = True, time_limit_s: float | None) -> CpSolver:
+def repeatable_solver(*, small: bool, tiny: bool = False, time_limit_s: float | None) -> CpSolver:
     """A solver with one worker, which is repeatable, and full linearisation (the default proves 10 times as slowly).
 
-    In `small` models, probing, looking for symmetries and presolving more than once take longer than they save. Without
-    `probes`, larger ones are neither probed nor searched for symmetries.
+    In `small` models, probing and looking for symmetries take longer than they save, in `tiny` ones also presolving
+    more than once.
     """
     solver = CpSolver()
     solver.parameters.num_workers = 1
@@ -73,10 +73,10 @@ def repeatable_solver(*, small: bool, probes: bool = True, time_limit_s: float |
     solver.parameters.linearization_level = 2
     solver.parameters.cut_level = 0
     if small:
-        solver.parameters.max_presolve_iterations = 1
-    if small or not probes:
         solver.parameters.cp_model_probing_level = 0
         solver.parameters.symmetry_level = 0
+    if tiny:
+        solver.parameters.max_presolve_iterations = 1
     if time_limit_s is not None:
         solver.parameters.max_time_in_seconds = time_limit_s
     return solver
