@@ -187,21 +187,25 @@ def last_seen_s(
     runs = {Place(unit.transformation, unit.host) for unit in running.units if not unit.standby}
     running_labels, known_on = {place.label for place in runs}, dict[str, set[str | None]]()
     for place in known:
-        known_on.setdefault(place.label, set()).add(place.host)
-
-    def hosts(label: str) -> Iterable[str | None]:
-        there = known_on.get(label, set())
-        return (*there, None) if not world.hosts or world.observable_on[label] - there else there
-
-    observable = (one._replace(host=host) for one in world.observable for host in hosts(one.transformation))
+        if place.host in world.host:
+            known_on.setdefault(place.label, set()).add(place.host)
     found: dict[Place, float] = {}
-    for statement in (*observable, *estimates):
-        place, estimate = Place(statement.transformation, statement.host), estimates.get(statement)
-        anywhere = statement._replace(host=None)
+
+    def add(statement: Statement, anywhere: Statement, seen_s: float) -> None:
+        place = Place(statement.transformation, statement.host)
         is_told_of_others = anywhere in world.told and place.label in running_labels
-        is_unknown = world.stated(statement) is None
-        if not (is_unknown or place in runs or anywhere in world.losing or is_told_of_others):
-            found[place] = max(found.get(place, -inf), -inf if estimate is None else estimate.seen_s)
+        if not (place in runs or anywhere in world.losing or is_told_of_others):
+            found[place] = max(found.get(place, -inf), seen_s)
+
+    for anywhere in world.observable:
+        there = known_on.get(anywhere.transformation, set())
+        if not world.hosts or world.observable_on[anywhere.transformation] - there:
+            add(anywhere, anywhere, -inf)
+        for host in there:
+            add(anywhere._replace(host=host), anywhere, -inf)
+    for statement, estimate in estimates.items():
+        if world.stated(statement) is not None:
+            add(statement, statement._replace(host=None), estimate.seen_s)
     return found
 
 
