@@ -548,6 +548,12 @@ class Environment:
         )
 
     @cached_property
+    def observable_on(self) -> Mapping[str, frozenset[str]]:
+        """By transformation whose quality a run can observe: the hosts where it may run, whatever the facts are."""
+        labels = dict.fromkeys(statement.transformation for statement in self.observable)
+        return MappingProxyType({label: frozenset(self._chosen(self.transformation[label])) for label in labels})
+
+    @cached_property
     def told(self) -> Mapping[Statement, Told]:
         """The statements whose quality topics of ROS 2 tell beside the streams."""
         stated = ((statement, self.stated(statement)) for statement in self.observable)

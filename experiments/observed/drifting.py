@@ -31,6 +31,8 @@ WEIGHT_S = 20.0
 """CPU seconds over the horizon for each unit of error."""
 SPAN_S = 900
 NOISE, ELEMENTS = 0.2, 5
+WINNABLE = 0.01
+"""Worlds in which declared errors cost less than this more than the clairvoyant are also listed apart."""
 SPREAD = 0.5
 """The standard deviation of the logarithm of a true error against the declared one."""
 WORST = 5.0
@@ -149,11 +151,19 @@ def main(arguments: Sequence[str] | None = None, tell: Callable[[str], object] =
         ratios = [row[1][0] / row[2][0] for row in rows]
         most = quantiles(ratios, n=10)[-1] if len(ratios) > 1 else ratios[0]
         won = f"{(declared - observed) / (declared - known):.0%}" if declared - known > 0.01 * known else "-"
+        winnable = [row for row in rows if row[0][0] > (1 + WINNABLE) * row[2][0]]
+        others = [row for row in rows if row not in winnable]
         changes = " / ".join(f"{fmean(row[column][1] for row in rows):.1f}" for column in range(3))
         tell(
             f"{kind:6} of the clairvoyant's cost: declared {declared / known:.3f}, observed {fmean(ratios):.3f} "
-            f"(90 % of worlds {most:.3f}); {won} of the gap won; changes {changes}"
+            f"(90 % of worlds {most:.3f}); {won} of the gap won; changes {changes}; "
+            f"in {len(others)} worlds there is less than {WINNABLE:.0%} to win, observed {_ratio(others):.3f} there"
         )
+
+
+def _ratio(rows: Sequence[tuple[tuple[float, int], ...]]) -> float:
+    """The cost of runs that observe, as a multiple of the clairvoyant's; 1 without rows."""
+    return sum(row[1][0] for row in rows) / sum(row[2][0] for row in rows) if rows else 1.0
 
 
 if __name__ == "__main__":

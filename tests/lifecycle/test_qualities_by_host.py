@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from math import inf
 from pathlib import Path
 
 import pytest
 from cfgplan_runtime import Policy
+from cfgplan_runtime.lifecycle.back_off import Place
 from cfgplan_runtime.lifecycle.basis import plan_text
 from cfgplan_runtime.lifecycle.changes import ReplaceWorld
+from cfgplan_runtime.lifecycle.looks import Looks
 from cfgplan_runtime.lifecycle.perturbations import HorizonReached, LookDue
 from cfgplan_runtime.operating.records import snapshot_record
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
@@ -18,11 +21,11 @@ from simulated_life import Life, started
 from test_qualities_of_a_run import ERROR, looks_of, pass_until_a_look, saying, sensor, step_at, watched
 
 from cfgplan import api
-from cfgplan.domain import Environment, Host, Statement, Target
+from cfgplan.domain import Environment, Host, InputPort, OutputPort, Statement, Target, Transformation
 from cfgplan.formats.observed_file import observed_text, read_observed
 from cfgplan.observed import FORGET_S
 from cfgplan.planners import PLANNERS
-from cfgplan.qualities import MICRO, Wish
+from cfgplan.qualities import MICRO, Contribution, Over, QualityRule, Wish
 
 HOSTS = Host("r1", speed=2 * MICRO), Host("r2")
 CLEAN, DIRTY = 0.2, 0.8
@@ -86,16 +89,79 @@ def test_looks_at_a_lens_that_stays_dirty_become_rare() -> None:
     assert places(run) == {("camera", "r2")}
 
 
+def weighed(*library: Transformation, hosts: tuple[Host, ...] = HOSTS, **behaviours: Behaviour) -> Life:
+    """A run of a library for a target whose error of 1 m costs 20 CPU seconds; behaviours are named as `camera_r1`."""
+    target = Target("position", "Position", "/position", quality=(Wish("error", None, 20 * MICRO),))
+    environment = Environment(library=library, targets=(target,), hosts=hosts, qualities=(ERROR,))
+    named = {name.replace("_", " on "): behaviour for name, behaviour in behaviours.items()}
+    return started(world=api.world(environment, horizon_s=3600), behaviours=named)
+
+
 def test_the_first_look_at_what_never_ran_is_on_the_host_that_a_plan_would_use() -> None:
     """The second look, at what it found, comes after twice the time."""
-    target = Target("position", "Position", "/position", quality=(Wish("error", None, 20 * MICRO),))
-    library = sensor("camera", 0.2, 1000), sensor("lidar", 0.3, 1000)
-    environment = Environment(library=library, targets=(target,), hosts=HOSTS, qualities=(ERROR,))
-    behaviours = {"camera": saying(lambda _: 0.2), "lidar": saying(lambda _: 0.31)}
-    run = started(world=api.world(environment, horizon_s=3600), behaviours=behaviours)
+    lidar = replace(sensor("lidar", 0.3, 1000), hosts=("r1",))
+    camera = replace(sensor("camera", 0.2, 1000), hosts=("r1",))
+    run = weighed(camera, lidar, camera=saying(lambda _: 0.2), lidar=saying(lambda _: 0.31))
     run.pass_time(400)
-    assert looks_of(run) == [LookDue("lidar"), LookDue("lidar", "r1")]
+    assert looks_of(run) == [LookDue("lidar", "r1"), LookDue("lidar", "r1")]
     assert [one.host for one in run.manager.snapshot().qualities] == ["r1", "r1"]
+
+
+def test_a_host_where_a_running_transformation_was_never_observed_is_looked_at() -> None:
+    camera = sensor("camera", CLEAN, 10)
+    run = weighed(camera, camera_r1=saying(lambda _: CLEAN), camera_r2=saying(lambda _: CLEAN / 4))
+    run.pass_time(58)
+    assert (looks_of(run), places(run)) == ([], {("camera", "r1")})
+    run.pass_time(10)
+    assert looks_of(run) == [LookDue("camera", "r2")]
+    assert places(run) == {("camera", "r2")}
+
+
+def test_each_host_is_looked_at_though_the_transformation_was_observed_or_silent_on_others() -> None:
+    """The lidar says nothing on r1, is bad on r2, and is good on r3."""
+    bad, good = saying(lambda _: DIRTY), saying(lambda _: CLEAN / 4)
+    hosts = Host("r1", speed=2 * MICRO), Host("r2"), Host("r3", speed=MICRO // 2)
+    camera = replace(sensor("camera", CLEAN, 10), hosts=("r1",))
+    cameras, lidar = saying(lambda _: CLEAN), sensor("lidar", 0.3, 10)
+    run = weighed(camera, lidar, hosts=hosts, camera=cameras, lidar_r1=Behaviour(), lidar_r2=bad, lidar_r3=good)
+    run.pass_time(1000)
+    assert {look.host for look in looks_of(run)} == {"r1", "r2", "r3"}
+    assert places(run) == {("lidar", "r3")}
+
+
+def test_a_transformation_that_may_run_on_one_host_has_no_other_place() -> None:
+    run = weighed(replace(sensor("camera", CLEAN, 10), hosts=("r1",)), camera=saying(lambda _: CLEAN))
+    run.pass_time(30)
+    assert places(run) == {("camera", "r1")}
+    assert run.manager._state.looks_due_s == {}
+
+
+def test_a_place_that_was_observed_without_a_look_has_no_pause_of_looks_at_other_hosts() -> None:
+    looks, known = Looks(), set[Place]()
+    for number in range(4):  # looks at four new hosts, each after twice the time
+        place = Place("camera", f"r{number}")
+        looks = looks.begun((place,), 0.0, 60.0, is_possible=True, known=known)
+        known.add(place)
+    assert looks.due_s(Place("camera"), -inf, 60.0) == 480
+    assert looks.due_s(Place("camera", "r4"), 100.0, 60.0) == 160
+
+
+def test_a_look_runs_a_transformation_on_one_host_only() -> None:
+    """The plan with the hoped qualities has a lidar on each host; what a look teaches is compared at its place."""
+    averaged = Contribution("error", QualityRule.ADD, 0, over=Over.MEAN)
+    ports = (InputPort("x", "Position", count=2),), (OutputPort("f", "Fused", (averaged,)),)
+    fuse = Transformation("fuse", *ports, 1000, 1000, source="units.py:fuse")
+    sonar = replace(sensor("sonar", CLEAN, 10), max_instances=2, hosts=("r1",))
+    lidar = replace(sensor("lidar", 0.25, 10), max_instances=2, per_host=1)
+    target = Target("fused", "Fused", "/fused", quality=(Wish("error", None, 20 * MICRO),))
+    environment = Environment(library=(sonar, lidar, fuse), targets=(target,), hosts=HOSTS, qualities=(ERROR,))
+    behaviours = {"sonar": saying(lambda _: CLEAN), "lidar": saying(lambda _: 0.1)}
+    run = started(world=api.world(environment, horizon_s=3600), behaviours=behaviours)
+    pass_until_a_look(run)
+    (host,) = {host for label, host in places(run) if label == "lidar"}
+    assert looks_of(run) == [LookDue("lidar", host)]
+    run.pass_time(100)
+    assert {host for label, host in places(run) if label == "lidar"} == {"r1", "r2"}
 
 
 def test_without_looks_what_was_learned_on_a_host_fades_there() -> None:

@@ -18,7 +18,8 @@ from units import ERROR_BY_LIGHT, BallDetector, Beacon, BottomCam, ExposedCam, P
 
 import cfgplan
 
-BY_LOOKS = Path(__file__).parents[2] / "models" / "nao" / "8-night-by-looks.yaml"
+NAO = Path(__file__).parents[2] / "models" / "nao"
+BY_LOOKS = NAO / "8-night-by-looks.yaml"
 DAY_S = 120.0
 FRAMES = 20
 
@@ -84,6 +85,24 @@ def test_at_night_the_camera_is_looked_at_until_it_is_day_again() -> None:
     assert sum(before[0] != after[0] for before, after in pairwise(seen)) == 4
     assert sum(by_camera and is_bad for by_camera, _, is_bad in seen) <= 0.02 * len(seen)
     assert sum(after[1] and not after[0] and not before[1] for before, after in pairwise(seen)) >= 4  # looks
+
+
+def test_by_a_fact_the_camera_is_used_for_at_most_four_seconds_of_each_night() -> None:
+    """Smoothing takes 1.44 times its half-life of 2 s, and the band a third of a second: 3 % of a day of 120 s."""
+    loaded, chance = cfgplan.load(NAO / "8-night.yaml"), Random(1)
+    runtime = SimulatedRuntime()
+    world = replace(loaded, environment=replace(loaded.environment, units=()))
+    manager = Manager(world, runtime, clock=runtime.clock)
+    seen = list[tuple[bool, bool]]()
+    for _ in range(round(2.2 * DAY_S / 0.2)):
+        light = scenario.light(round(runtime.clock.now() * 1e9), DAY_S)
+        manager.observe_fact("brightness", round(light * chance.gauss(1, 0.05) * 1e6))
+        manager.run(0.2)
+        by_camera = any(unit.transformation == "bottom_cam(piff)" for unit in runtime.environment.units)
+        seen.append((by_camera, error_at(scenario.light(round(runtime.clock.now() * 1e9), DAY_S)) > 0.4))
+    assert sum(before[0] != after[0] for before, after in pairwise(seen)) == 4
+    assert sum(before[1] != after[1] for before, after in pairwise(seen)) == 4
+    assert 2 * 2.5 <= 0.2 * sum(by_camera and is_bad for by_camera, is_bad in seen) <= 2 * 4
 
 
 def test_a_photometer_says_how_light_it_is_about(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -193,7 +193,7 @@ def _look_begun(transition: Transition, time_s: float) -> Transition:
     environment = state.version.world.environment.with_facts(state.situation.facts)
     due = (place for place, due_s in state.looks_due_s.items() if due_s <= at_s)
     hopes = {place: hopes_of(place, environment, state.seen.estimates, at_s) for place in due}
-    return transition.also(MakeLook(transition.state.plan_input, hopes, unmet))
+    return transition.also(MakeLook(transition.state.plan_input, hopes, unmet, state.known_places))
 
 
 def _looked(transition: Transition, looked: Looked) -> Transition:
@@ -203,13 +203,14 @@ def _looked(transition: Transition, looked: Looked) -> Transition:
     if state.entries or state.is_closing or state.stops:
         return transition.to(replace(state, doing=None))
     every_s, qualities = state.policy.look_every_s or 0.0, state.situation.qualities
-    looks = state.looks.begun(looked.tried, transition.at_s, every_s, is_possible=looked.findings is not None)
+    known, is_possible = state.known_places, looked.findings is not None
+    looks = state.looks.begun(looked.tried, transition.at_s, every_s, is_possible=is_possible, known=known)
     if looked.findings is None:
         looks = looks.idled(transition.at_s, qualities, state.running.units, every_s)
         return transition.to(replace(state, doing=None, looks=looks))
     look_due = LookDue(*looked.place)
     planning = replace(planning, entries=(Entry(look_due, transition.at_s, transition.at_s),))
-    looks = looks.at(looked.place, looked.statements, qualities)
+    looks = looks.at(looked.place, looked.statements, qualities, known)
     transition = transition.to(replace(state, number=planning.number, doing=planning, looks=looks))
     transition = transition.also(Tell(ReviewBegan(planning.number, (look_due,))))
     return _carried_out(transition, planning, looked.findings)

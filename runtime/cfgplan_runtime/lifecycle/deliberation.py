@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import ChainMap
-from collections.abc import Callable, Iterable, Iterator, Mapping, Set
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Set
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from operator import is_
@@ -176,26 +176,30 @@ class Deliberation:
         plan_input: PlanInput,
         hopes: Mapping[Place, Mapping[Statement, int]],
         unmet: Mapping[str, str],
+        known: Collection[Place],
         *,
         stop: threading.Event,
     ) -> Looked:
         """Plan a look at the first place that a plan would use if its outputs had the hoped deviations.
 
-        The new units feed no topic. `unmet` has the targets that are not met now, with the reasons.
+        The new units feed no topic. `unmet` has the targets that are not met now, with the reasons. On hosts, the hope
+        of a place without a host counts only where the transformation has no `known` place.
         """
         self._stop, tried, left = stop, list[Place](), dict(hopes)
         while left:  # if no look is worth its cost, a single plan shows it
-            optimistic, before = self._hopeful(plan_input, left.values()), len(tried)
-            promising = [place for place in left if _new_there(optimistic, place)]
+            optimistic, before = self._hopeful(plan_input, left.values(), known), len(tried)
+            promising = [place for place in left if _new_there(optimistic, place, known)]
             for place in promising:
-                alone = optimistic if len(promising) == 1 else self._hopeful(plan_input, [hopes[place]])
-                units = _needed_for_a_look(alone, place, hopes[place])
-                if not units or not _pays(alone, units, unmet):
+                alone = optimistic if len(promising) == 1 else self._hopeful(plan_input, [hopes[place]], known)
+                if not (new := _new_there(alone, place, known)):
                     continue
-                tried.append(place)
+                host = new[0].host
+                units = _needed_for_a_look(alone, [unit for unit in new if unit.host == host], hopes[place])
+                if not _pays(alone, units, unmet):
+                    continue
+                tried.append(place._replace(host=host))
                 findings = self._run_for_nobody(plan_input, ChangeSet(started=units))
                 if findings is not None:
-                    host = _new_there(alone, place)[0].host
                     statements = tuple(statement._replace(host=host) for statement in hopes[place])
                     return Looked(tuple(tried), statements, replace(findings, unmet=unmet))
                 del left[place]
@@ -203,9 +207,18 @@ class Deliberation:
                 break
         return Looked(tuple(tried))
 
-    def _hopeful(self, plan_input: PlanInput, hopes: Iterable[Mapping[Statement, int]]) -> Findings:
+    def _hopeful(
+        self, plan_input: PlanInput, hopes: Iterable[Mapping[Statement, int]], known: Collection[Place]
+    ) -> Findings:
         """The best update if outputs had the hoped deviations."""
-        seen = dict(ChainMap(*map(dict, hopes), dict(plan_input.situation.qualities)))
+        hoped = ChainMap(*map(dict, hopes))
+        as_stated = {
+            statement._replace(host=place.host): 0
+            for place in known
+            for statement in hoped
+            if (statement.transformation, statement.host) == (place.label, None)
+        }
+        seen = dict(ChainMap(dict(hoped), dict(plan_input.situation.qualities), as_stated))
         environment = plan_input.world.environment.with_qualities(seen)
         world = replace(plan_input.world, environment=environment)
         return self._think(replace(plan_input, world=world), optimises=True)
@@ -365,29 +378,32 @@ def _asking_less(problem: Problem) -> Iterator[tuple[Problem, str]]:
         yield problem, "there is no room for as many instances as are asked for"
 
 
-def _new_there(findings: Findings, place: Place) -> list[ComputationUnit]:
-    """Return the units that an update starts at a place (without a host: anywhere); none if it is not worth it."""
+def _new_there(findings: Findings, place: Place, known: Collection[Place]) -> list[ComputationUnit]:
+    """Return the units that an update starts at a place (without a host: anywhere but at `known` places); none if it
+    is not worth it.
+    """
     if findings.change_set is None or findings.decision is not Decision.APPLIED:
         return []
     new = (unit for unit in findings.change_set.started if unit.transformation == place.label and not unit.standby)
-    return [unit for unit in new if place.host in (None, unit.host)]
+    if place.host is not None:
+        return [unit for unit in new if unit.host == place.host]
+    return [unit for unit in new if place._replace(host=unit.host) not in known]
 
 
 def _needed_for_a_look(
-    optimistic: Findings, place: Place, statements: Iterable[Statement]
+    optimistic: Findings, looked_at: Iterable[ComputationUnit], statements: Iterable[Statement]
 ) -> tuple[ComputationUnit, ...]:
-    """Return the new units that a look at a place needs, without topics: its own, and those that feed them.
+    """Return the new units that a look needs, without topics: the units that are looked at, and those that feed them.
 
     If another stream must say how good it is, all new units of the plan are needed.
     """
-    looked_at = [unit.id for unit in _new_there(optimistic, place)]
-    if optimistic.change_set is None or not looked_at:
+    if optimistic.change_set is None:
         return ()
     new = {unit.id: unit for unit in optimistic.change_set.started if not unit.standby}
     stated = map(optimistic.planned.stated, statements)
     if all(each is not None and each.observe is not None for each in stated):
         feeders = {unit.id: [one.stream.unit for one in unit.subscriptions] for unit in new.values()}
-        needed = reached(looked_at, lambda unit: feeders.get(unit, ()))
+        needed = reached([unit.id for unit in looked_at], lambda unit: feeders.get(unit, ()))
         new = {unit_id: unit for unit_id, unit in new.items() if unit_id in needed}
     return tuple(replace(unit, publications=()) for unit in new.values())
 

@@ -1,14 +1,15 @@
 """Looks: a transformation that may be better than the ones that run is run for some seconds, to observe its quality.
 
 A transformation is observed only while it runs, and only on the hosts of its units. A place is a transformation on a
-host. If the planner would choose a place with the quality that it may have, the transformation runs there for LOOK_S
-seconds without subscribers; a slow stream is looked at until it has given enough elements. If a look finds nothing new,
-the next one at this place comes later.
+host; one without a host stands for all hosts where the transformation was neither observed nor looked at. If the
+planner would choose a place with the quality that it may have, the transformation runs there for LOOK_S seconds without
+subscribers; a slow stream is looked at until it has given enough elements. If a look finds nothing new, the next one at
+this place comes later.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf
 from types import MappingProxyType
@@ -54,13 +55,13 @@ class Looks:
     """When the next look at each place is due, and the look under way."""
 
     pauses: Mapping[Place, Pause] = field(default_factory=dict)
-    """By place, also if its look observed nothing. The place of a first look has no host."""
+    """By place, also if its look observed nothing; the first look at a host counts also for the other new hosts."""
     idle: Idle = field(default_factory=lambda: Idle(0.0))
     """The last time when no look was taken; at first, the start of the run."""
     impossible: frozenset[Place] = frozenset()
     """The places for whose last look there was no room, or whose transformation shares a named state with another."""
-    place: Place | None = None
-    """The place that is looked at."""
+    places: tuple[Place, ...] = ()
+    """The place that is looked at; at the first look there, also the place without a host."""
     units: tuple[str, ...] = ()
     """The units of the look."""
     since_s: float = 0.0
@@ -85,22 +86,26 @@ class Looks:
         interval_s = min(2 * self.idle.interval_s, LONGEST_INTERVAL_S) if is_same else 0.0
         return replace(self, idle=Idle(at_s, max(interval_s, least_s), qualities, units))
 
-    def pause_of(self, place: Place) -> Pause | None:
-        """The pause after the last look at a place, or at its transformation before it was observed on any host."""
-        return self.pauses.get(place, self.pauses.get(Place(place.label)))
-
     def due_s(self, place: Place, seen_s: float, least_interval_s: float) -> float:
         """Return when the next look is due at a place that was observed last at `seen_s`."""
-        pause = self.pause_of(place)
+        pause = self.pauses.get(place)
         return max(seen_s + least_interval_s, -inf if pause is None else pause.since_s + pause.interval_s)
 
-    def begun(self, places: Sequence[Place], at_s: float, least_interval_s: float, *, is_possible: bool) -> Looks:
+    def begun(
+        self,
+        places: Sequence[Place],
+        at_s: float,
+        least_interval_s: float,
+        *,
+        is_possible: bool,
+        known: Collection[Place],
+    ) -> Looks:
         """Note that looks at places were planned. If `is_possible`, the last one was possible, and no other. The next
         look at each place comes after twice its interval, at least.
         """
         impossible = self.impossible.difference(places[-1:]) if is_possible else self.impossible
         impossible |= {*(places[:-1] if is_possible else places)}
-        before = {place: self.pause_of(place) for place in places}
+        before = {each: self.pauses.get(each) for place in places for each in _counting(place, known)}
         doubled_s = {place: 0.0 if pause is None else 2 * pause.interval_s for place, pause in before.items()}
         new = {
             place: Pause(at_s, min(max(next_s, least_interval_s), LONGEST_INTERVAL_S))
@@ -108,30 +113,41 @@ class Looks:
         }
         return replace(self, pauses={**self.pauses, **new}, impossible=impossible)
 
-    def at(self, place: Place, statements: Iterable[Statement], qualities: Mapping[Statement, int]) -> Looks:
-        """Look at outputs at a place, and keep their known deviations for comparison."""
-        return replace(self, place=place, known={one: qualities.get(one, 0) for one in statements})
+    def at(
+        self,
+        place: Place,
+        statements: Iterable[Statement],
+        qualities: Mapping[Statement, int],
+        known: Collection[Place],
+    ) -> Looks:
+        """Look at outputs at a place, and keep their present deviations for comparison; see `known_places`."""
+        return replace(self, places=_counting(place, known), known={one: qualities.get(one, 0) for one in statements})
 
     def running(self, units: tuple[str, ...], at_s: float) -> Looks:
         """Note that the units of the look run from now on."""
         return replace(self, units=units, since_s=at_s, until_s=at_s + LOOK_S)
 
-    def ending(self, at_s: float) -> Looks:
-        """The look with its end now: it has found something new."""
-        return replace(self, until_s=at_s)
+    def ending(self, running: Environment, seen: SeenQualities, at_s: float) -> Looks:
+        """End a look now that has found something new, unless it has still to observe other outputs."""
+        return replace(self, until_s=at_s) if self._has_seen_all(running, seen) else self
 
     def longer(self, running: Environment, seen: SeenQualities) -> Looks:
         """Continue a look at running units that have given too few elements, for LONGEST_LOOK_S at most."""
+        is_running = any(unit in running.unit for unit in self.units)
+        is_long = self.until_s >= self.since_s + LONGEST_LOOK_S
+        if not is_running or is_long or self._has_seen_all(running, seen):
+            return self
+        return replace(self, until_s=self.until_s + LOOK_S)
+
+    def _has_seen_all(self, running: Environment, seen: SeenQualities) -> bool:
+        """Whether each output of the look has given enough elements, or its quality was learned since it began."""
         sampled = {
             Statement(unit.transformation, stream.port, attribute, unit.host)
             for (stream, attribute), window in seen.windows.items()
             if stream.unit in self.units and window.sample is not None and (unit := running.unit.get(stream.unit))
         }
         taught = {one for one in self.known if one in seen.estimates and seen.estimates[one].seen_s >= self.since_s}
-        is_running = any(unit in running.unit for unit in self.units)
-        if not is_running or self.known.keys() <= sampled | taught or self.until_s >= self.since_s + LONGEST_LOOK_S:
-            return self
-        return replace(self, until_s=self.until_s + LOOK_S)
+        return self.known.keys() <= sampled | taught
 
     def over(self, world: Environment, qualities: Mapping[Statement, int], least_interval_s: float) -> Looks:
         """End the look; if it has found something new, the next one comes sooner."""
@@ -140,32 +156,56 @@ class Looks:
             for one, seen in self.known.items()
             if (stated := world.stated(one)) is not None
         )
-        pause = None if self.place is None else self.pauses.get(self.place)
-        if self.place is None or pause is None or not has_taught:
-            return Looks(self.pauses, self.idle, self.impossible)
-        sooner = pause._replace(interval_s=max(pause.interval_s / 4, least_interval_s))
-        return Looks({**self.pauses, self.place: sooner}, self.idle, self.impossible)
+        sooner = {
+            place: self.pauses[place]._replace(interval_s=max(self.pauses[place].interval_s / 4, least_interval_s))
+            for place in (self.places if has_taught else ())
+        }
+        return Looks({**self.pauses, **sooner}, self.idle, self.impossible)
 
 
-def last_seen_s(world: Environment, running: Environment, estimates: Estimates) -> dict[Place, float]:
+def _counting(place: Place, known: Collection[Place]) -> tuple[Place, ...]:
+    """Return the places for which a look at a place counts: it, and if it was not `known`, the one without a host."""
+    return (place,) if place in known or place.host is None else (place, Place(place.label))
+
+
+def known_places(running: Environment, estimates: Estimates, looks: Looks) -> frozenset[Place]:
+    """Return the places on hosts where a transformation runs, was observed, or was looked at."""
+    runs = (Place(unit.transformation, unit.host) for unit in running.units if not unit.standby)
+    observed = (Place(statement.transformation, statement.host) for statement in estimates)
+    return frozenset(place for place in (*runs, *observed, *looks.pauses) if place.host is not None)
+
+
+def last_seen_s(
+    world: Environment, running: Environment, estimates: Estimates, known: Collection[Place]
+) -> dict[Place, float]:
     """Return when each place that a look can observe was last observed; -inf if it never was.
 
-    A transformation has a place on each host where it was observed, and one without a host if it was observed nowhere.
-    Places of running units are left out, losses, which are measured only at subscribers, and qualities that somebody
-    tells of a transformation, wherever it runs, while it runs elsewhere: they would be those of the other host.
+    A transformation has the `known` places, and one without a host while there are hosts where it may run and that are
+    not known. Places of running units are left out; so are losses, which are measured only at subscribers, and
+    qualities that a topic tells of a transformation while it runs elsewhere: they would be those of the other host.
     """
-    runs = {
-        Place(unit.transformation, host) for unit in running.units if not unit.standby for host in (None, unit.host)
-    }
-    known = {statement: estimate for statement, estimate in estimates.items() if world.stated(statement) is not None}
-    on_hosts = {statement.transformation for statement in known if statement.host is not None}
+    runs = {Place(unit.transformation, unit.host) for unit in running.units if not unit.standby}
+    running_labels, known_on = {place.label for place in runs}, dict[str, set[str | None]]()
+    for place in known:
+        if place.host in world.host:
+            known_on.setdefault(place.label, set()).add(place.host)
     found: dict[Place, float] = {}
-    for statement in (*world.observable, *known):
-        place, estimate = Place(statement.transformation, statement.host), known.get(statement)
-        anywhere, is_elsewhere = statement._replace(host=None), place.host is None and place.label in on_hosts
-        is_told_of_others = anywhere in world.told and Place(place.label) in runs
-        if not (place in runs or anywhere in world.losing or is_elsewhere or is_told_of_others):
-            found[place] = max(found.get(place, -inf), -inf if estimate is None else estimate.seen_s)
+
+    def add(statement: Statement, anywhere: Statement, seen_s: float) -> None:
+        place = Place(statement.transformation, statement.host)
+        is_told_of_others = anywhere in world.told and place.label in running_labels
+        if not (place in runs or anywhere in world.losing or is_told_of_others):
+            found[place] = max(found.get(place, -inf), seen_s)
+
+    for anywhere in world.observable:
+        there = known_on.get(anywhere.transformation, set())
+        if not world.hosts or world.observable_on[anywhere.transformation] - there:
+            add(anywhere, anywhere, -inf)
+        for host in there:
+            add(anywhere._replace(host=host), anywhere, -inf)
+    for statement, estimate in estimates.items():
+        if world.stated(statement) is not None:
+            add(statement, statement._replace(host=None), estimate.seen_s)
     return found
 
 

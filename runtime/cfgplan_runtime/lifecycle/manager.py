@@ -328,9 +328,9 @@ class Manager:
                 self._preview(effect)
             case transitions.JudgeGiven(plan_input, change_set):
                 self._decide(transitions.GivenJudged(self._deliberation.judged(plan_input, change_set)))
-            case transitions.MakeLook(plan_input, hopes, unmet):
+            case transitions.MakeLook(plan_input, hopes, unmet, known):
                 self._interrupt.clear()
-                looked = self._deliberation.look(plan_input, hopes, unmet, stop=self._interrupt)
+                looked = self._deliberation.look(plan_input, hopes, unmet, known, stop=self._interrupt)
                 self._interrupt.clear()
                 self._decide_arrivals()
                 self._decide(looked)

@@ -20,7 +20,7 @@ from cfgplan_runtime.lifecycle.configuration import PlanInput, Situation
 from cfgplan_runtime.lifecycle.deliberation import Findings
 from cfgplan_runtime.lifecycle.inbox import Asked, Outcome
 from cfgplan_runtime.lifecycle.link_rates import LinkRates
-from cfgplan_runtime.lifecycle.looks import Looks, last_seen_s
+from cfgplan_runtime.lifecycle.looks import Looks, known_places, last_seen_s
 from cfgplan_runtime.lifecycle.perturbations import Perturbation, SubscriptionLost, UnitGone, UpdateFailed
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Phase, Review
@@ -187,12 +187,17 @@ class State:
         }
 
     @property
+    def known_places(self) -> frozenset[Place]:
+        """The places on hosts where a transformation runs, was observed, or was looked at."""
+        return known_places(self.running, self.seen.estimates, self.looks)
+
+    @property
     def looks_due_s(self) -> dict[Place, float]:
         """When the next look may be due at each place that can be observed and has no running unit, in this order."""
         every_s, environment = self.policy.look_every_s, self.version.world.environment
         if every_s is None or not environment.observable:
             return {}
-        seen_s = last_seen_s(environment, self.running, self.seen.estimates)
+        seen_s = last_seen_s(environment, self.running, self.seen.estimates, self.known_places)
         due_s = {place: self.looks.due_s(place, last_s, every_s) for place, last_s in seen_s.items()}
         return dict(sorted(due_s.items(), key=lambda one: (one[1], one[0].label, one[0].host or "")))
 

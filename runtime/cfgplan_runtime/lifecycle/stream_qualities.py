@@ -40,28 +40,33 @@ def qualities_learned(transition: Transition) -> Transition:
     if not transition.state.seen.is_new:
         return transition
     transition, running, lesson = _taught(transition, ends_look=False)
-    if any(stream.unit in transition.state.looks.units for stream, _ in lesson.news):
-        transition = transition.to(replace(transition.state, looks=transition.state.looks.ending(transition.at_s)))
     state, at_s, world = transition.state, transition.at_s, _world_now(transition.state)
+    if any(stream.unit in state.looks.units for stream, _ in lesson.news):
+        state = replace(state, looks=state.looks.ending(state.running, state.seen, at_s))
+        transition = transition.to(state)
     before = state.situation.qualities  # a slow drift is never news: it is confirmed little by little
     now = planned_deviations(world, lesson.estimates, before, at_s, only_sure=not lesson.news)
     waits = at_s < (state.looks.until_s if state.looks.units else _calm_until_s(state))
     if now == before or (waits and not _bounds_are_crossed(transition, running, now)):
         return transition
-    transition = transition.situated(replace(state.situation, qualities=now))
-    said_now = world.with_qualities(now).qualities_now
-    changed = sorted((one for one in now.keys() | before.keys() if now.get(one) != before.get(one)), key=str)
-    return transition.perturbed(
-        QualitiesObserved(tuple(f"{one} {said_now.get(str(one), 'as declared')}" for one in changed))
-    )
+    return _planned_with(transition, now)
 
 
 def look_learned(transition: Transition) -> Transition:
     """Learn from all that the streams of a look have said; the review at its end plans with all present estimates."""
     transition, _, lesson = _taught(transition, ends_look=True)
-    situation, world = transition.state.situation, _world_now(transition.state)
-    now = planned_deviations(world, lesson.estimates, situation.qualities, transition.at_s)
-    return transition.situated(replace(situation, qualities=now))
+    before, world = transition.state.situation.qualities, _world_now(transition.state)
+    now = planned_deviations(world, lesson.estimates, before, transition.at_s)
+    return transition if now == before else _planned_with(transition, now)
+
+
+def _planned_with(transition: Transition, now: Mapping[Statement, int]) -> Transition:
+    """Plan with other deviations from now on, and tell which ones have changed."""
+    situation, before = transition.state.situation, transition.state.situation.qualities
+    said_now = _world_now(transition.state).with_qualities(now).qualities_now
+    changed = sorted((one for one in now.keys() | before.keys() if now.get(one) != before.get(one)), key=str)
+    outputs = tuple(f"{one} {said_now.get(str(one), 'as declared')}" for one in changed)
+    return transition.situated(replace(situation, qualities=now)).perturbed(QualitiesObserved(outputs))
 
 
 def _world_now(state: State) -> Environment:

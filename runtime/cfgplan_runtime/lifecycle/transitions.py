@@ -164,6 +164,8 @@ class MakeLook(Effect, frozen=True):
     hopes: Mapping[Place, Mapping[Statement, int]]
     """By place, in the order in which looks are due: the deviations that outputs may have there."""
     unmet: Mapping[str, str]
+    known: frozenset[Place]
+    """The places on hosts for which the hopes of places without a host do not count."""
 
 
 class ApplyUpdate(Effect, frozen=True):
