@@ -333,6 +333,23 @@ def test_what_has_happened_can_be_asked_for_later(
     assert run.wait(PATIENCE_S) == 0
 
 
+@pytest.mark.usefixtures("run")
+def test_events_show_the_last_ones_and_say_that_they_wait(capsys: pytest.CaptureFixture[str]) -> None:
+    id_ = state_now(capsys)["run"]
+    earlier = " (`--last N` or `--since 10m` shows earlier ones)"
+    for arguments, shown in (((), True), (("--json",), False), (("--last", "1", "--follow"), True)):
+        following = command("ctl", "events", *arguments)
+        with subprocess.Popen(following, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as follower:
+            assert follower.stdout is not None and follower.stderr is not None
+            note = follower.stderr.readline()
+            assert f"waiting for new events of run {id_}{'' if '--last' in arguments else earlier}" in note
+            assert "Ctrl-C ends this" in note
+            follower.send_signal(signal.SIGINT)
+            assert follower.wait(PATIENCE_S) == 0
+            assert (" Review 1: started " in follower.stdout.read()) is shown
+            assert follower.stderr.read() == "stopped\n"
+
+
 def test_editing_the_file_changes_what_runs(run: subprocess.Popen[str], env: Path) -> None:
     env.write_text(ENVIRONMENT.replace("/result", "/elsewhere"))
     with subscribe("/elsewhere", wait_s=PATIENCE_S, timeout_s=PATIENCE_S) as subscription:
