@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 MOST_WAITING: Final = 10_000
 """So many messages wait at most: at a subscriber of `qos` 0, and at a publisher whose broker is away."""
 _PORTS: Final = {"mqtt": 1883, "mqtts": 8883}
+_HERE: Final = "localhost"
+_NAMES_OF_HERE: Final = ("localhost", "127.0.0.1", "::1")
 _LONGEST_S: Final = 65_535
 """The longest keepalive of MQTT, in seconds."""
 _SESSION_S: Final = 300
@@ -266,6 +268,16 @@ def _no_longer() -> Any:
     properties: Any = Properties(PacketTypes.DISCONNECT)  # type: ignore[no-untyped-call]
     properties.SessionExpiryInterval = 0
     return properties
+
+
+def is_same_broker(one: str, other: str) -> bool:
+    """Return whether two addresses are of one broker, as far as they show it; False for what is no address."""
+    try:
+        first, second = _address(one), _address(other)
+    except InputError:
+        return False
+    hosts = [_HERE if found.hostname in _NAMES_OF_HERE else found.hostname for found in (first, second)]
+    return (hosts[0], first.port) == (hosts[1], second.port)
 
 
 def _address(broker: str) -> Any:
