@@ -270,6 +270,16 @@ def _no_longer() -> Any:
     return properties
 
 
+def parameters() -> list[str]:
+    """Return the names of a connection's parameters, without the broker and what units have of their own."""
+    return [name for name in inspect.signature(Connection).parameters if name not in ("broker", "say", "will")]
+
+
+def check_broker(broker: str) -> None:
+    """Raise InputError for what is not the address of a broker."""
+    _address(broker)
+
+
 def is_same_broker(one: str, other: str) -> bool:
     """Return whether two addresses are of one broker, as far as they show it; False for what is no address."""
     try:
@@ -312,7 +322,6 @@ def _context(ca: str | None, certificate: str | None, key: str | None) -> ssl.SS
 
 def check_parameters(connection: Mapping[str, Any]) -> None:
     """Raise InputError for parameters that no connection can have."""
-    known = [name for name in inspect.signature(Connection).parameters if name not in ("broker", "say", "will")]
-    check_names("MQTT", known, connection)
+    check_names("MQTT", parameters(), connection)
     if "keepalive" in connection and not 1 <= connection["keepalive"] <= _LONGEST_S:
         raise InputError.of(f"`{connection['keepalive']}` can't be a keepalive", mend=f"it is from 1 to {_LONGEST_S} s")
