@@ -251,12 +251,16 @@ def test_a_run_is_found_by_its_name_which_no_other_live_run_has(
     with running(env, "--name", "robot") as named:
         run_id = await_event(named, "Running")["run"]
         assert main(["ctl", "state"]) == 30
-        assert f"name one by --name: robot ({run_id}) of env.yaml" in re.sub(
+        assert f"name one by --name: robot ({run_id}, env.yaml, pid " in re.sub(
             "[0-9a-f]{8} [(]env.yaml, pid [0-9]+[)], ", "", capsys.readouterr().err
         )
         for which in (["--name", "robot"], ["-n", "robot"], ["--run", run_id]):
             assert ctl(capsys, *which, "state")["run"] == run_id
         assert ctl(capsys, "state", "--name", "robot")["name"] == "robot"
+        assert main(["ctl", "state", "--name", "robo"]) == 30
+        assert "no run 'robo' is live (did you mean `robot`?); live runs: " in capsys.readouterr().err
+        assert main(["listen", "/result", "--name", "robo"]) == 30
+        assert "no run 'robo' is live (did you mean `robot`?); live runs: " in capsys.readouterr().err
         assert main(["listen", "/result", "--run", "robot", "--count", "1", "--wait", "60s"]) == 0
         assert main(["listen", "/result"]) == 30
         assert f"robot ({run_id})" in capsys.readouterr().err
