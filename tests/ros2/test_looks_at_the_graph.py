@@ -65,9 +65,7 @@ def test_a_node_that_stays_away_is_told_after_some_looks(looking: Any) -> None:
 
 
 def test_a_graph_without_nodes_is_refused_with_what_may_be_wrong(looking: Any) -> None:
-    with pytest.raises(
-        InputError, match=r"no node in the ROS 2 domain 7 \(rmw_fake\) \(start the nodes first"
-    ):
+    with pytest.raises(InputError, match=r"no node in the ROS 2 domain 7 \(rmw_fake\) \(start the nodes first"):
         looking(Helper(graph()))
     with pytest.raises(InputError, match=r"domain 7 \(rmw_fake\) shows no node yet, though /lidar run here"):
         looking(Helper(graph()), "/lidar")
