@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import queue
+import re
 import signal
 import subprocess
 from collections.abc import Iterator
@@ -316,4 +317,18 @@ def test_a_broker_whose_topics_begin_with_a_slash_becomes_a_run_that_publishes_t
     env.write_text(text + "\n".join(line.removeprefix("  ") for line in head.splitlines()) + "\n")
     with running(env, "--mqtt", broker.name) as process, hearing(broker, "cfgplan/hall-t") as heard:
         assert await_message(heard, "cfgplan/hall-t") == "21.0"
+        end(process)
+
+
+def test_the_first_file_of_the_page_warms_the_kitchen(broker: Broker, tmp_path: Path) -> None:
+    page = (Path(extras.__file__).parent / "manual" / "mqtt.md").read_text()
+    file = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)[0]
+    env = tmp_path / "house.yaml"
+    env.write_text(file.replace("mqtt://localhost", f"mqtt://{broker.name}"))
+    topic, value = re.findall(r"mosquitto_pub -t (\S+) -m (\S+)", page)[0]
+    heard_on, shown = re.findall(r"mosquitto_sub -t (\S+) -C 1 +# prints (\S+)", page)[0]
+    with running(env) as process, hearing(broker, heard_on) as heard:
+        await_event(process, "Reviewed")
+        publish(broker, topic, float(value))
+        assert await_message(heard, heard_on) == shown
         end(process)
