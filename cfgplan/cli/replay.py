@@ -98,6 +98,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         if options.out:
             return _write_part(sources, options, screen)
         path = _write_world(played, env or before, folder)
+        screen.note(f"Playing {counted(len(sources), 'topic')} of {found.path.name}.")
         return _play(path, found, options, screen)
 
 
@@ -283,5 +284,4 @@ def _play(path: Path, found: Recorded, options: argparse.Namespace, screen: Scre
         words += [f"--{word}", value] if (value := getattr(options, word)) is not None else []
     parser = argparse.ArgumentParser()
     run_verb.add_to(parser)
-    screen.note(f"Playing {counted(len(found.topics), 'topic')} of {found.path.name}.")
     return run_verb.run(parser.parse_args(words), screen)

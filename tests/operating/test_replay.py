@@ -329,3 +329,9 @@ def test_recorded_topics_that_no_unit_takes_are_told_with_the_mend(
     told = capsys.readouterr().err
     assert [part for part in said if part not in told] == []
     assert [part for part in unsaid if part in told] == []
+
+
+def test_a_replay_counts_the_topics_that_it_plays(pictures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments, number in (((), "3 topics"), (("--topic", "/image"), "1 topic")):
+        assert main(["replay", str(pictures), *arguments, "--dry-run"]) == 0
+        assert f"Playing {number} of run.mcap." in capsys.readouterr().err
