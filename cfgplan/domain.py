@@ -15,6 +15,7 @@ from operator import attrgetter
 from types import MappingProxyType
 from typing import Annotated, TypeVar
 
+from cfgplan.amounts import core_share
 from cfgplan.arguments import Natural, checked
 from cfgplan.canonical import fields_of, refuse_duplicates, store_sorted
 from cfgplan.errors import InvalidValueError
@@ -254,7 +255,7 @@ class Objective(StrEnum):
     """New units, spares too."""
 
 
-ENVIRONMENT_HEADS = ("", "name", "takes", "gives", "labor", "upkeep each second")
+ENVIRONMENT_HEADS = ("", "name", "takes", "gives", "labor", "upkeep")
 
 
 def environment_rows(environment: Environment) -> Iterator[tuple[str, ...]]:
@@ -272,7 +273,7 @@ def environment_rows(environment: Environment) -> Iterator[tuple[str, ...]]:
         takes, gives = (
             ", ".join(f"{port.name}: {port.tag}" for port in ports) for ports in (kind.inputs, kind.outputs)
         )
-        yield "transformation", kind.label, takes, gives, cpu(kind.labor_us), cpu(kind.upkeep_us)
+        yield "transformation", kind.label, takes, gives, cpu(kind.labor_us), core_share(kind.upkeep_us)
 
 
 _NAMED = (

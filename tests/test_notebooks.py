@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +59,16 @@ def test_the_lines_say_what_matters(answers: dict[str, Any]) -> None:
     assert "bottom_cam(piff)" in answers["World"]._repr_html_()
 
 
+def test_figures_of_tables_have_their_units(answers: dict[str, Any]) -> None:
+    assert "<td>0.35 s</td><td>5 % of a core</td>" in answers["World"]._repr_html_()
+    (row,) = re.findall(r"<tr><td>0 s</td>.*?</tr>", answers["Sensitivity"]._repr_html_())[:1]
+    assert re.match(r"<tr><td>0 s</td><td>([\d.]+ s)?</td>", row)
+    assert "<td>18.6 s</td><td>nothing</td>" in answers["Alternatives"]._repr_html_()
+    office = cfgplan.match(cfgplan.load(ROOT / "models" / "building" / "office.yaml"))
+    upkeep = cfgplan.sensitivity(office, upkeep_of="air_flow_meter")._repr_html_()
+    assert "<td>0 % of a core</td>" in upkeep
+
+
 def test_markup_in_a_name_stays_text() -> None:
     environment = Environment(targets=(Target("<b>bold</b>", "A & B", "/t"),))
     table = environment._repr_html_()  # type: ignore[attr-defined]
@@ -109,11 +120,12 @@ def test_a_change_of_the_library_stands_in_its_table() -> None:
 
 
 def run_again(path: Path) -> tuple[Any, Any]:
-    """A notebook as it is kept, and as it is after it has run now."""
+    """A notebook as it is kept, and as it is after it has run now in its own folder, as Jupyter runs it."""
     nbclient = pytest.importorskip("nbclient", reason="pip install 'cfgplan[test]'")
     nbformat = pytest.importorskip("nbformat")
     kept, now = (nbformat.read(path, as_version=4) for _ in range(2))
-    nbclient.NotebookClient(now, timeout=300, kernel_name="python3", resources={"metadata": {"path": ROOT}}).execute()
+    where = {"metadata": {"path": path.parent}}
+    nbclient.NotebookClient(now, timeout=300, kernel_name="python3", resources=where).execute()
     for cell in now.cells:
         cell.metadata.pop("execution", None)
     return kept, now

@@ -37,7 +37,7 @@ example:
   cfgplan ctl plan --out plan.json     (what `review` would do now)
   cfgplan ctl why camera.1
   cfgplan ctl logs camera --follow     (output of all units of camera, also of ended ones)
-  cfgplan ctl events --since 10m       (past events)
+  cfgplan ctl events                   (the last ones, then new ones; --since 10m: past ones alone)
   cfgplan ctl topics                   (publisher, rate and age of each)
   cfgplan ctl hz /result               (rate and jitter of a topic)
   cfgplan ctl --name robot state       (of the run that `cfgplan run --name robot` has started)
@@ -123,7 +123,7 @@ _COMMANDS = (
         "FILE",
         "plan saved by `ctl plan --out`",
     ),
-    _Command("events", "print new events as they happen, or past ones"),
+    _Command("events", "print the last events, then new ones as they happen"),
     _Command("topics", "list topics of targets and streams of units, with publisher, rate and age"),
     _Command(
         "hz",

@@ -26,6 +26,8 @@ _FOLLOWS_S = 0.3
 _WINDOW = 1000
 """Rates are over so many of the last intervals at most."""
 _TELLS_S = 1.0
+_LAST_EVENTS = 10
+"""Past events that are printed before new ones are waited for."""
 
 
 def _add_logs(parser: argparse.ArgumentParser) -> None:
@@ -43,6 +45,9 @@ def _add_events(parser: argparse.ArgumentParser) -> None:
     since = "print the events of the last 30s, 10m or 2h (1,000 are kept)"
     parser.add_argument("--since", type=shared.duration, metavar="TIME", help=since)
     parser.add_argument("--follow", action="store_true", help="with --last or --since: go on with new events")
+    parser.epilog = (
+        f"Without --last and --since: the last {_LAST_EVENTS} events (with --json none), then new ones until Ctrl-C."
+    )
 
 
 def _add_hz(parser: argparse.ArgumentParser) -> None:
@@ -56,23 +61,30 @@ OPTIONS: Mapping[str, Callable[[argparse.ArgumentParser], None]] = MappingProxyT
 
 
 def _events(control: Control, screen: Screen, options: argparse.Namespace) -> Exit:
-    """Print the past events that the options ask for, then those that follow."""
+    """Print the past events that the options ask for, then those that follow.
+
+    Without options, people see the last events first; programs get only new ones.
+    """
     has_past = options.last is not None or options.since is not None
     follows, told = options.follow or not has_past, 0
     try:
         if follows:
             control.subscribe()
-        if has_past:
+        if has_past or not screen.json:
             past = control.call("events", timeout_s=60, since_s=options.since)["events"]
             shown = [event for event in past if screen.json or event["says"] is not None]
-            for event in _last(shown, options.last):
+            for event in _last(shown, options.last if has_past else _LAST_EVENTS):
                 _tell_event(event, screen)
             told = past[-1]["number"] if past else 0
             if not past and not follows:
                 screen.note("nothing has happened in that time" if options.since else "nothing has happened yet")
-        for event in control.events() if follows else ():
-            if event["number"] > told:
-                _tell_event(event, screen)
+        if follows:
+            earlier = "" if has_past else " (`--last N` or `--since 10m` shows earlier ones)"
+            screen.note(f"waiting for new events of run {control.system.run}{earlier}; Ctrl-C ends this")
+            for event in control.events():
+                if event["number"] > told:
+                    _tell_event(event, screen)
+            screen.note(f"run {control.system.run} has ended")
     except KeyboardInterrupt:
         screen.note("stopped")
     return Exit.OK

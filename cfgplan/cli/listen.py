@@ -92,20 +92,35 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
 @contextmanager
 def _tap(options: argparse.Namespace, fleet: ReachedFleet | None) -> Iterator[KeptTap | None]:
-    """Show the stream that the options name on a topic; None if they name a topic. Raises InputError."""
-    if options.topic.find("/") < 1:
-        yield None
-        return
+    """Show the stream that the options name on a topic, or that of a target whose topic is in ROS alone.
+
+    None if they name another topic. Raises InputError.
+    """
     from cfgplan_runtime.operating.kept_tap import kept_tap
     from cfgplan_runtime.operating.protocol import RefusedError
 
     with ExitStack() as kept:
+        tap: KeptTap | None = None
         try:
-            tap = kept.enter_context(kept_tap(options.topic, options.run_id, fleet, options.wait))
+            if options.topic.find("/") > 0 or (fleet is None and _is_in_ros_alone(options)):
+                tap = kept.enter_context(kept_tap(options.topic, options.run_id, fleet, options.wait))
         except RefusedError as error:
-            mend = error.mend or "`cfgplan ctl topics` lists topics, which begin with /, and streams, such as a.1/port"
+            mend = error.mend or "`cfgplan ctl topics` lists topics and streams, such as a.1/port"
             raise InputError.of(error.message, mend=mend) from None
         yield tap
+
+
+def _is_in_ros_alone(options: argparse.Namespace) -> bool:
+    """Return whether a live run has the topic, but only nodes of ROS can subscribe to it."""
+    from cfgplan_runtime.errors import RuntimeFaultError
+    from cfgplan_runtime.operating.control_client import connect
+    from cfgplan_runtime.operating.protocol import RefusedError
+
+    try:
+        with connect(options.run_id) as control:
+            return bool(control.call("tap", timeout_s=_SHOWN_S, stream=options.topic)["topic"] != options.topic)
+    except (RuntimeFaultError, RefusedError):
+        return False
 
 
 def _received(subscription: SubscriptionToTopic, tap: KeptTap | None, end: float | None) -> Iterator[Received]:

@@ -6,7 +6,7 @@ import argparse
 import re
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -16,12 +16,14 @@ from cfgplan.cli import options as shared
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.screen import Screen, counted
 from cfgplan.domain import OutputPort, Target, Transformation
-from cfgplan.errors import InputError, did_you_mean
+from cfgplan.errors import Fault, InputError, did_you_mean
+from cfgplan.summary import some
 
 if TYPE_CHECKING:
     from cfgplan_runtime.operating.recorded import Recorded
 
     from cfgplan.api import World
+    from cfgplan.planning import Problem
 
 _REPLAY_EXAMPLE = """\
 example:
@@ -89,9 +91,14 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         begin_ns = None if options.out else time.time_ns() + int(_BEGINS_S * 1e9)
         targets = _targets(found, options.topic, env or before)
         sources = tuple(_source(found, target, options, begin_ns) for target in targets)
+        played = _fed(env, sources) if env else _alone(before, sources, targets)
+        if env:
+            _tell_untagged(found, options, targets, screen)
+            _tell_untaken(played, sources, options.env, screen)
         if options.out:
             return _write_part(sources, options, screen)
-        path = _write_world(_fed(env, sources) if env else _alone(before, sources, targets), env or before, folder)
+        path = _write_world(played, env or before, folder)
+        screen.note(f"Playing {counted(len(sources), 'topic')} of {found.path.name}.")
         return _play(path, found, options, screen)
 
 
@@ -178,6 +185,57 @@ def _fed(world: World, sources: tuple[Transformation, ...]) -> World:
     return replace(world, environment=replace(environment, units=(), library=(*environment.library, *sources)))
 
 
+def _tell_untagged(found: Recorded, options: argparse.Namespace, targets: list[Target], screen: Screen) -> None:
+    """Warn of recorded topics that are not played, since no target of the environment gives them a tag."""
+    played = {target.topic for target in targets}
+    without = [topic for topic in options.topic or found.topics if topic not in played]
+    if without:
+        mend = "add targets of these topics: their tags say what the streams are"
+        screen.warn_of(Fault(f"not played, since no target of {options.env} has the topic: {some(without)}", mend=mend))
+
+
+def _tell_untaken(world: World, sources: tuple[Transformation, ...], env: str, screen: Screen) -> None:
+    """Warn of recorded topics that no unit takes in the plan of a replay, and of sources that were not recorded."""
+    from cfgplan import api
+
+    problem, plan = api.solve(world)
+    if plan.change_set is None:
+        return  # the run says why
+    played = {source.label: str(source.params["topic"]) for source in sources}
+    started = plan.change_set.started
+    of_unit = {unit.id: unit.transformation for unit in started}
+    takes = [one.stream.unit for unit in started if unit.transformation not in played for one in unit.subscriptions]
+    taken = {of_unit[unit] for unit in takes}
+    untaken = [topic for label, topic in played.items() if label not in taken]
+    if not untaken:
+        return
+    if len(untaken) < len(played):
+        screen.note(f"No unit of {env} takes {some(untaken)}: only listeners get that.")
+        return
+    message = f"no unit of {env} takes a recorded topic: only listeners get {some(untaken)}"
+    screen.warn_of(Fault(message, mend=_mend_of_untaken(problem, sources, env)))
+
+
+def _mend_of_untaken(problem: Problem, sources: tuple[Transformation, ...], env: str) -> str:
+    """Return what to do so that units take recorded topics: play fewer of them, or record what the sources give."""
+    own = [one for one in problem.environment.library if one not in sources]
+    demanded = {port.tag for one in own for port in one.inputs}
+
+    def fed_by(offered: Iterable[Transformation]) -> set[str]:
+        tags = {port.tag for one in offered for port in one.outputs}
+        return {tag for tag in demanded for given in tags if problem.similarity.holds(given, tag)}
+
+    if usable := [str(source.params["topic"]) for source in sources if fed_by([source])]:
+        play = " ".join(f"--topic {topic}" for topic in usable)
+        return f"the recording has the results too, so no unit computes them; to compute them again, play {play} only"
+    live = [one for one in own if not one.inputs and fed_by([one])]
+    if not live:
+        return f"`cfgplan match {env}` shows which outputs may feed which inputs"
+    tag = next(port.tag for port in live[0].outputs if fed_by([replace(live[0], outputs=(port,))]))
+    names = some(one.label for one in live)
+    return f"{names} was not recorded; give it a target and record again: {{label: input, topic: /input, tag: {tag}}}"
+
+
 def _alone(before: World | None, sources: tuple[Transformation, ...], targets: list[Target]) -> World:
     """The sources, and nothing but their topics wanted."""
     from cfgplan.api import World
@@ -226,5 +284,4 @@ def _play(path: Path, found: Recorded, options: argparse.Namespace, screen: Scre
         words += [f"--{word}", value] if (value := getattr(options, word)) is not None else []
     parser = argparse.ArgumentParser()
     run_verb.add_to(parser)
-    screen.note(f"Playing {counted(len(found.topics), 'topic')} of {found.path.name}.")
     return run_verb.run(parser.parse_args(words), screen)

@@ -54,7 +54,7 @@ def mqtt_check(options: argparse.Namespace, environment: Environment) -> Callabl
 
     def check() -> None:
         _mqtt_targets(options)(lambda _: None)
-        check_targets(environment)
+        check_targets(environment, options.mqtt)
 
     return check
 

@@ -15,13 +15,11 @@ from cfgplan.cli.plan_text import cpu
 from cfgplan.cli.screen import Screen
 from cfgplan.cli.styled import Text
 from cfgplan.explaining import Sensitivity, Span
+from cfgplan.explaining.sensitivity import PERCENT_US, core_text, value_text
 from cfgplan.summary import some
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-_PERCENT_US = 10_000
-"""Microseconds of CPU time in each second that are 1 % of a core."""
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
@@ -67,13 +65,6 @@ def sensitivity_text(found: Sensitivity) -> Text:
     return Text("\n").join(_lines(found))
 
 
-def value_text(value: Fraction, found: Sensitivity) -> str:
-    """A value of the parameter for people: `12.5 s`, or `8 % of a core`; rounded if it is no short decimal."""
-    if found.transformation is None:
-        return f"{_decimal(value)} s"
-    return f"{_decimal(value / _PERCENT_US)} % of a core"
-
-
 def headline(found: Sensitivity) -> str:
     """Where the plan for the present value stays optimal."""
     if found.here is None:
@@ -115,7 +106,7 @@ def _reach(found: Sensitivity, span: Span) -> str:
 
 def _cost(found: Sensitivity, span: Span) -> str:
     if found.transformation is None:
-        return f"{cpu(span.line.fixed_us)} once and {_decimal(Fraction(span.line.each_us, _PERCENT_US))} % of a core"
+        return f"{cpu(span.line.fixed_us)} once and {core_text(Fraction(span.line.each_us))}"
     if not span.line.each_us:
         return f"{cpu(span.line.fixed_us)}, without {found.transformation}"
     return f"{cpu(span.line.fixed_us)} and {span.line.each_us} s times its upkeep"
@@ -133,16 +124,8 @@ def _difference(before: Span | None, span: Span) -> Iterator[Text]:
             yield Text(f"    {sign} {', '.join(sorted(labels))}", style=style)
 
 
-def _decimal(value: Fraction) -> str:
-    """Exact where six decimals are enough, else to four digits."""
-    rounded = round(value, 6)
-    if rounded == value:
-        return f"{float(rounded):.6f}".rstrip("0").rstrip(".")
-    return f"about {float(value):.4g}" if value < 10_000 else f"about {round(value)}"
-
-
 def _draw(found: Sensitivity, axes: Axes) -> None:
-    in_units = 1 if found.transformation is None else _PERCENT_US
+    in_units = 1 if found.transformation is None else PERCENT_US
     right = _right_edge(found)
     for span in found.spans:
         ends = [span.begin, right if span.end is None else min(span.end, right)]

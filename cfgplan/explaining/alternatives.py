@@ -31,7 +31,7 @@ def _alternatives_summary(found: Alternatives) -> Summary:
         (
             number,
             "" if plan.cost_us is None else cpu(plan.cost_us),
-            ", ".join(unit.id for unit in plan.change_set.started),
+            ", ".join(unit.id for unit in plan.change_set.started) or "nothing",
         )
         for number, plan in enumerate(found.plans, 1)
         if plan.change_set is not None

@@ -17,6 +17,9 @@ from cfgplan.summary import Summary, counted, summarised, summary
 from cfgplan.validity.counts import unfed_us
 from cfgplan.validity.hosts import carried_us, rents_us
 
+PERCENT_US = 10_000
+"""Microseconds of CPU time in each second that are 1 % of a core."""
+
 
 @dataclass(frozen=True, order=True)
 class CostLine:
@@ -51,7 +54,7 @@ def _sensitivity_summary(found: Sensitivity) -> Summary:
     proven = "" if found.exact else "; not all of it is proven"
     line = f"{counted(len(found.spans), 'plan')} over {found.parameter}{proven}"
     rows = (
-        (f"{float(span.begin):g}", "for ever" if span.end is None else f"{float(span.end):g}", ", ".join(span.runs))
+        (value_text(span.begin, found), "" if span.end is None else value_text(span.end, found), ", ".join(span.runs))
         for span in found.spans
     )
     return summary(line, ("from", "to", "runs"), rows)
@@ -87,6 +90,24 @@ class Sensitivity:
     def here(self) -> Span | None:
         """The span with the problem's own value; None if no span has it."""
         return next((span for span in self.spans if span.holds(self.value)), None)
+
+
+def value_text(value: Fraction, found: Sensitivity) -> str:
+    """A value of the parameter for people: `12.5 s`, or `8 % of a core`; rounded if it is no short decimal."""
+    return f"{_decimal(value)} s" if found.transformation is None else core_text(value)
+
+
+def core_text(upkeep_us: Fraction) -> str:
+    """An upkeep in microseconds of CPU time per second, as exactly as is short: `8 % of a core`."""
+    return f"{_decimal(upkeep_us / PERCENT_US)} % of a core"
+
+
+def _decimal(value: Fraction) -> str:
+    """Exact where six decimals are enough, else to four digits."""
+    rounded = round(value, 6)
+    if rounded == value:
+        return f"{float(rounded):.6f}".rstrip("0").rstrip(".")
+    return f"about {float(value):.4g}" if value < 10_000 else f"about {round(value)}"
 
 
 def horizon_sensitivity(problem: Problem, planner: Planner) -> Sensitivity:

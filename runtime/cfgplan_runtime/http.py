@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ssl
 from base64 import b64encode
+from collections.abc import Mapping
 from http.client import HTTPException
 from typing import Any, Final
 from urllib.error import HTTPError
@@ -16,7 +17,7 @@ from urllib.request import HTTPSHandler, OpenerDirector, Request, build_opener
 from cfgplan.errors import InputError
 from cfgplan_runtime.outside.credentials import check_names, read_password
 from cfgplan_runtime.outside.payload_forms import PayloadForm, PayloadReader
-from cfgplan_runtime.outside.units import say, words_of
+from cfgplan_runtime.outside.units import check_call, say, words_of
 
 _TIMEOUT_S: Final = 5.0
 _LOGIN: Final = ("username", "password_env", "password_file", "token_env", "token_file")
@@ -51,6 +52,12 @@ class Poller:
         self._url = url
         self._opener = _opener(ca)
         self._is_away = False
+
+    @classmethod
+    def check_params(cls, params: Mapping[str, Any]) -> None:
+        """Raise InputError for params with which no unit can be constructed. Asks for nothing."""
+        check_call(cls, "HTTP", _LOGIN, params)
+        _checked(params["url"])
 
     def __call__(self) -> object:
         try:

@@ -64,6 +64,7 @@ def robots(tmp_path: Path) -> Life:
     [
         (KillUnit("nobody.1"), "no unit 'nobody.1' runs"),
         (Remove(targets=("nothing",)), "there is no target 'nothing' (choose one of result)"),
+        (Remove(targets=("resul",)), "there is no target 'resul' (did you mean `result`?)"),
         (Remove(transformations=("nothing",)), "there is no transformation 'nothing'"),
         (Remove(individuals=("nobody",)), "there is no individual 'nobody'"),
         (Add(individuals=(Individual("me"),)), "without an ontology there are no individuals"),

@@ -164,6 +164,28 @@ def test_the_example_of_a_target_in_the_head_can_be_used_as_it_is(tmp_path: Path
     assert cfgplan.plan(cfgplan.match(world)).status == "optimal"
 
 
+def test_a_slash_at_the_beginning_is_no_level_of_the_tags_and_topics_that_only_it_tells_apart_are_a_hint(
+    tmp_path: Path,
+) -> None:
+    found = made({"/hall/t": [b"20"], "/hall/h": [b"50"], "//x": [b"1"], "hall/t": [b"21"], "/": [b"2"]})
+    labels = {source.topic.name: source.label for source in found.sources}
+    assert labels == {"/hall/t": "hall-t", "/hall/h": "hall-h", "//x": "x", "hall/t": "hall-t_", "/": "topic-_"}
+    assert matches(found, "hall", tmp_path) == ["hall-h", "hall-t"]
+    assert ':hall a owl:Class ; rdfs:subClassOf :Topic ; rdfs:label "/hall" .' in found.ontology
+    (hint,) = (hint for hint in found.hints if "slash" in hint)
+    assert hint.startswith("/hall/t is hall-t, hall/t is hall-t_: a slash at an end makes another topic")
+    assert not any("slash" in hint for hint in made({"/hall/t": [b"20"], "hall/h": [b"21"]}).hints)
+
+
+@pytest.mark.parametrize("topic", ["/window", "window", "cfgplan/window"])
+def test_the_example_of_a_target_has_a_topic_that_no_source_hears(topic: str) -> None:
+    found = made({topic: [b"1"], "cfgplan/a/status": [b"online"]})
+    target = yaml.safe_load(found.example)
+    assert target["topic"].startswith("cfgplan/")
+    assert target["topic"] not in {topic, "cfgplan/a/status"}
+    assert ("status" in target["tag"]) is (topic == "cfgplan/window")
+
+
 def test_commands_are_no_sources_and_are_told() -> None:
     found = made(
         {"lamp/set": [b"ON"], "lamp/state": [b"ON"]}, {"light/x": {"~": "lamp", "cmd_t": "~/set", "stat_t": "~/state"}}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import queue
+import re
 import signal
 import subprocess
 from collections.abc import Iterator
@@ -265,3 +266,69 @@ def test_without_paho_the_extra_is_named(
     monkeypatch.setattr(extras, "find_spec", lambda name: None if name == "paho" else find(name))
     assert main(["run", str(env), "--mqtt", "house"]) == 30
     assert "pip install 'cfgplan[mqtt]'" in " ".join(capsys.readouterr().err.split())
+
+
+def heard_there(broker: Broker, topic: str) -> str:
+    params = f"{{broker: '{broker.name}', topic: '{topic}'}}"
+    return f"""\
+format: cfgplan/1
+transformations:
+  - {{label: sensor, source: 'cfgplan_runtime.mqtt:Subscriber', params: {params}, outputs: {{value: Value}}}}
+targets:
+  - {{label: value, topic: /hall/t, tag: Value}}
+"""
+
+
+@pytest.mark.parametrize("topic", ["/hall/t", "/hall/+", "/#"])
+def test_a_run_does_not_publish_where_it_listens(
+    broker: Broker, env: Path, topic: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    env.write_text(heard_there(broker, topic))
+    other_name = broker.name.replace("127.0.0.1", "localhost")
+    assert main(["run", str(env), "--mqtt", f"mqtt://{other_name}", "--for", "1s"]) == 30
+    told = capsys.readouterr().err
+    assert f"sensor subscribes to {topic} there: the run would hear what it publishes" in told
+    assert "`topic: cfgplan/hall/t`" in told
+    elsewhere = env.read_text().replace("topic: /hall/t, tag", "topic: hall/t, tag")
+    env.write_text(elsewhere)
+    with running(env, "--mqtt", broker.name) as process, hearing(broker, "hall/t", "/hall/t") as heard:
+        publish(broker, "/hall/t", 1)
+        assert "1" in await_message(heard, "hall/t")
+        env.write_text(heard_there(broker, topic))
+        assert "value is not published at the broker: the topic /hall/t" in await_warning(process, "not published")
+        end(process)
+
+
+def publish(broker: Broker, topic: str, value: object) -> None:
+    from paho.mqtt.publish import single
+
+    single(topic, json.dumps(value), retain=True, hostname="127.0.0.1", port=broker.port)
+
+
+def test_a_broker_whose_topics_begin_with_a_slash_becomes_a_run_that_publishes_them(
+    broker: Broker, tmp_path: Path
+) -> None:
+    for topic, value in (("/hall/t", 21), ("hall/t", 5)):
+        publish(broker, topic, value)
+    env = tmp_path / "house.yaml"
+    assert main(["import", "mqtt", broker.name, "--topic", "/hall/#", "--for", "0.5s", "--out", str(env)]) == 0
+    text = env.read_text()
+    head = "\n".join(line.removeprefix("# ") for line in text.splitlines() if line.startswith("#   "))
+    env.write_text(text + "\n".join(line.removeprefix("  ") for line in head.splitlines()) + "\n")
+    with running(env, "--mqtt", broker.name) as process, hearing(broker, "cfgplan/hall-t") as heard:
+        assert await_message(heard, "cfgplan/hall-t") == "21.0"
+        end(process)
+
+
+def test_the_first_file_of_the_page_warms_the_kitchen(broker: Broker, tmp_path: Path) -> None:
+    page = (Path(extras.__file__).parent / "manual" / "mqtt.md").read_text()
+    file = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)[0]
+    env = tmp_path / "house.yaml"
+    env.write_text(file.replace("mqtt://localhost", f"mqtt://{broker.name}"))
+    topic, value = re.findall(r"mosquitto_pub -t (\S+) -m (\S+)", page)[0]
+    heard_on, shown = re.findall(r"mosquitto_sub -t (\S+) -C 1 +# prints (\S+)", page)[0]
+    with running(env) as process, hearing(broker, heard_on) as heard:
+        await_event(process, "Reviewed")
+        publish(broker, topic, float(value))
+        assert await_message(heard, heard_on) == shown
+        end(process)

@@ -20,7 +20,7 @@ from cfgplan_runtime.operating.recording import Recording
 from cfgplan_runtime.replay import Source
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from operated_world import PATIENCE_S, await_event, command, running, write_world
+from operated_world import ONTOLOGY, PATIENCE_S, await_event, command, running, write_world
 
 from cfgplan.cli import main
 from cfgplan.errors import InputError
@@ -259,3 +259,79 @@ def test_what_a_replay_lacks_is_told(run_recorded: Path, tmp_path: Path, capsys:
     assert "does not hold its run's environment" in capsys.readouterr().err
     assert main(["replay", str(plain), "--dry-run"]) == 0
     assert "recorded(/t).1" in capsys.readouterr().out
+
+
+@pytest.fixture
+def pictures(tmp_path: Path) -> Path:
+    """A recording of /image, /result and /other."""
+    given = [("/image", BEGUN_NS, [1, 2]), ("/result", BEGUN_NS + 1, 3), ("/other", BEGUN_NS + 2, 4)]
+    return write(tmp_path / "run.mcap", *given)
+
+
+TAKEN = """\
+format: cfgplan/1
+ontology: field.ttl
+transformations:
+  - {label: camera, source: "units.py:camera", labor: 1, outputs: {image: Image}}
+  - {label: detector, source: "units.py:Detector", inputs: {image: Image}, outputs: {ball: Ball}}
+targets:
+  - {label: ball, topic: /result, tag: Ball}
+"""
+IMAGES = "  - {label: image, topic: /image, tag: Image}\n"
+GOALS = "  - {label: goal, topic: /goal, tag: Goal}\n  - {label: other, topic: /other, tag: Field}\n"
+COUNTER = '  - {label: counter, source: "count.py:count", inputs: {ball: Ball}, outputs: {number: Goal}}\n'
+NOBODY = "warning: no unit of env.yaml takes a recorded topic: only listeners get"
+
+
+@pytest.mark.parametrize(
+    ("text", "more", "said", "unsaid"),
+    [
+        (
+            TAKEN,
+            [],
+            [
+                "not played, since no target of env.yaml has the topic: /image, /other",
+                f"{NOBODY} /result",
+                "camera was not recorded; give it a target and record again: {label: input, topic: /input, tag: Image}",
+            ],
+            ["--topic"],
+        ),
+        (TAKEN + IMAGES, [], [f"{NOBODY} /image, /result", "play --topic /image only"], ["not recorded"]),
+        (TAKEN + IMAGES, ["--topic", "/image"], [], ["not played", "takes"]),
+        (
+            TAKEN.replace("targets:", f"{COUNTER}targets:") + GOALS,
+            [],
+            ["No unit of env.yaml takes /other: only listeners get that."],
+            ["warning: no unit", "not recorded"],
+        ),
+        (
+            TAKEN.replace("inputs: {image: Image}, ", ""),
+            [],
+            [f"{NOBODY} /result", "`cfgplan match env.yaml` shows which outputs may feed which inputs"],
+            ["not recorded"],
+        ),
+    ],
+)
+def test_recorded_topics_that_no_unit_takes_are_told_with_the_mend(
+    pictures: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    text: str,
+    more: list[str],
+    said: list[str],
+    unsaid: list[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "env.yaml").write_text(text)
+    (tmp_path / "field.ttl").write_text(ONTOLOGY)
+    assert main(["replay", str(pictures), "env.yaml", *more, "--out", "part.yaml"]) == 0
+    told = capsys.readouterr().err
+    assert [part for part in said if part not in told] == []
+    assert [part for part in unsaid if part in told] == []
+
+
+def test_a_replay_counts_the_topics_that_it_plays(pictures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments, number in (((), "3 topics"), (("--topic", "/image"), "1 topic")):
+        assert main(["replay", str(pictures), *arguments, "--dry-run"]) == 0
+        assert f"Playing {number} of run.mcap." in capsys.readouterr().err

@@ -251,12 +251,16 @@ def test_a_run_is_found_by_its_name_which_no_other_live_run_has(
     with running(env, "--name", "robot") as named:
         run_id = await_event(named, "Running")["run"]
         assert main(["ctl", "state"]) == 30
-        assert f"name one by --name: robot ({run_id}) of env.yaml" in re.sub(
+        assert f"name one by --name: robot ({run_id}, env.yaml, pid " in re.sub(
             "[0-9a-f]{8} [(]env.yaml, pid [0-9]+[)], ", "", capsys.readouterr().err
         )
         for which in (["--name", "robot"], ["-n", "robot"], ["--run", run_id]):
             assert ctl(capsys, *which, "state")["run"] == run_id
         assert ctl(capsys, "state", "--name", "robot")["name"] == "robot"
+        assert main(["ctl", "state", "--name", "robo"]) == 30
+        assert "no run 'robo' is live (did you mean `robot`?); live runs: " in capsys.readouterr().err
+        assert main(["listen", "/result", "--name", "robo"]) == 30
+        assert "no run 'robo' is live (did you mean `robot`?); live runs: " in capsys.readouterr().err
         assert main(["listen", "/result", "--run", "robot", "--count", "1", "--wait", "60s"]) == 0
         assert main(["listen", "/result"]) == 30
         assert f"robot ({run_id})" in capsys.readouterr().err
@@ -331,6 +335,23 @@ def test_what_has_happened_can_be_asked_for_later(
         rest = [json.loads(line)["number"] for line in follower.stdout]
         assert rest == list(range(first["number"] + 1, first["number"] + 1 + len(rest)))
     assert run.wait(PATIENCE_S) == 0
+
+
+@pytest.mark.usefixtures("run")
+def test_events_show_the_last_ones_and_say_that_they_wait(capsys: pytest.CaptureFixture[str]) -> None:
+    id_ = state_now(capsys)["run"]
+    earlier = " (`--last N` or `--since 10m` shows earlier ones)"
+    for arguments, shown in (((), True), (("--json",), False), (("--last", "1", "--follow"), True)):
+        following = command("ctl", "events", *arguments)
+        with subprocess.Popen(following, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as follower:
+            assert follower.stdout is not None and follower.stderr is not None
+            note = follower.stderr.readline()
+            assert f"waiting for new events of run {id_}{'' if '--last' in arguments else earlier}" in note
+            assert "Ctrl-C ends this" in note
+            follower.send_signal(signal.SIGINT)
+            assert follower.wait(PATIENCE_S) == 0
+            assert (" Review 1: started " in follower.stdout.read()) is shown
+            assert follower.stderr.read() == "stopped\n"
 
 
 def test_editing_the_file_changes_what_runs(run: subprocess.Popen[str], env: Path) -> None:

@@ -68,8 +68,8 @@ def test_a_live_graph_becomes_a_file_that_check_understands_and_a_run_can_start(
     env = running / "robot.yaml"
 
     def both_are_imported() -> bool:
-        assert main(["import", "ros2", "live", "--out", str(env)]) == 0
-        return {"lidar", "safety/guard"} <= {*api.load(env).environment.transformation}
+        code = main(["import", "ros2", "live", "--out", str(env)])
+        return code == 0 and {"lidar", "safety/guard"} <= {*api.load(env).environment.transformation}
 
     eventually(both_are_imported)
     library = api.load(env).environment.transformation

@@ -16,6 +16,7 @@ import pytest
 from cfgplan_runtime import mqtt
 from cfgplan_runtime.mqtt import Publisher, Subscriber
 from cfgplan_runtime.mqtt.connection import MqttRefusedError
+from cfgplan_runtime.outside.payload_forms import PayloadReader
 from mosquitto import NEEDS_MOSQUITTO, PATIENCE_S, Broker, make_certificate, running
 from watching import StartRuntime
 from world import eventually, start, unit
@@ -376,7 +377,17 @@ def test_what_is_no_value_is_told_once_and_left_out(
     for word in ("{", "}", "7"):
         words(x=word)
     assert heard.next() == 7
-    assert capsys.readouterr().out.count("x: a message is not valid json, and is left out") == 1
+    told = capsys.readouterr().out
+    assert told.count("x: a message is not valid json, and is left out") == 1
+    assert "(it begins b'{'; `payload: text` takes it)" in told
+
+
+@pytest.mark.parametrize(("payload", "form"), [(b"open", "text"), (b"\xff\xd8 a picture", "bytes"), (b"\0\1", "bytes")])
+def test_the_form_that_takes_an_unreadable_message_is_told(payload: bytes, form: str) -> None:
+    told: list[str] = []
+    assert PayloadReader("number", None, told.append).values("t", payload) == ()
+    assert f"(it begins {payload!r}; `payload: {form}` takes it)" in told[0]
+    assert PayloadReader(form, None, told.append).values("t", payload)
 
 
 def test_a_broker_that_is_not_there_yet_is_told_once(

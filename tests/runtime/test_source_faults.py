@@ -236,3 +236,36 @@ def test_what_is_found_fails_and_what_fails_is_found_unless_it_is_hidden(
     is_broken = fails(code, folder, file)
     assert is_broken or not found, (code.text, found)
     assert found or not is_broken or not code.is_plain, code.text
+
+
+BROKER = "localhost:1883"
+
+
+@pytest.mark.parametrize(
+    ("source", "params", "says"),
+    [
+        ("mqtt:Subscriber", {"broker": BROKER, "topic": "house/+"}, ""),
+        ("mqtt:Subscriber", {"broker": BROKER, "tpic": "t"}, "MQTT has no parameter `tpic` (did you mean `topic`?)"),
+        ("mqtt:Subscriber", {"broker": BROKER}, "`params` has no `topic` (add it to `params`)"),
+        ("mqtt:Subscriber", {"broker": BROKER, "topic": 5}, "`topic` must be a text, but is 5 (put quotes around it)"),
+        ("mqtt:Subscriber", {}, "`params` has no `broker` and no `topic`"),
+        ("mqtt:Subscriber", {"broker": BROKER, "topic": "a", "payload": "float"}, "`float` is not a form of payload"),
+        ("mqtt:Subscriber", {"broker": BROKER, "topic": "a/#/b"}, "`a/#/b` is not a topic filter"),
+        ("mqtt:Subscriber", {"broker": "a:b:c", "topic": "a"}, "`a:b:c` is not the address of a broker"),
+        ("mqtt:Subscriber", {"broker": BROKER, "topic": "a", "qos": 3}, "`3` is not a quality of service of MQTT"),
+        ("mqtt:Subscriber", {"broker": BROKER, "topic": "a", "password": "x"}, "can't hold a password"),
+        ("mqtt:Publisher", {"broker": BROKER, "topic": "a", "retian": True}, "did you mean `retain`?"),
+        ("mqtt:Publisher", {"broker": BROKER, "topic": "a/+"}, "`a/+` is not a topic to publish on"),
+        ("zenoh:Subscriber", {"key_expr": "a", "with_kye": True}, "did you mean `with_key`?"),
+        ("zenoh:Publisher", {}, "`params` has no `key_expr`"),
+        ("http:Poller", {"url": "http://a", "payloda": "text"}, "did you mean `payload`?"),
+        ("http:Poller", {"url": "http://a", "payload": "text", "token_env": "T"}, ""),
+    ],
+)
+def test_params_of_ready_made_units_are_checked_before_they_start(
+    tmp_path: Path, source: str, params: dict[str, object], says: str
+) -> None:
+    inputs = ("x",) if source.endswith("Publisher") else ()
+    fault = told(tmp_path, transformation(f"cfgplan_runtime.{source}", *inputs, **params))
+    assert says in fault
+    assert bool(fault) == bool(says)

@@ -7,6 +7,7 @@ take anything; `unit_code` says how code is found and called when it runs.
 from __future__ import annotations
 
 import ast
+import importlib
 import importlib.util
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -24,6 +25,8 @@ from cfgplan_runtime.children.program_source import ProgramSource
 
 _FORM = "write package.module:Class or units.py:Class"
 _MOST_NAMED = 6
+_OWN = "cfgplan_runtime."
+"""Begins the names of the modules with cfgplan's own unit code."""
 _Definition = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
 _DYNAMIC = frozenset({"__getattr__", "exec", "eval", "globals", "setattr", "vars", "locals"})
 """Names by which a module may define others at run time."""
@@ -91,11 +94,21 @@ def _check_python(transformation: Transformation, source: str, folder: Path) -> 
             raise InputError.of(f"there is no module {top}", mend=f"install it, or put {top}.py beside the environment")
     if path is None:
         return
+    if place.startswith(_OWN):
+        _check_own(transformation, place, name)
     module = _read(path, _stamp(path))
     _check_imports(module, [path.parent, folder])
     definition = module.named(name.partition(".")[0], place)
     if definition is not None and "." not in name and not module.is_dynamic:
         _Unit(transformation, module, name).check(definition)
+
+
+def _check_own(transformation: Transformation, place: str, name: str) -> None:
+    """Raise InputError if unit code of cfgplan itself does not take the params. It may be imported before a run."""
+    module = importlib.import_module(place)
+    check = getattr(getattr(module, name, None), "check_params", None)
+    if check is not None:
+        check(transformation.params)
 
 
 def _beside(place: str, folder: Path) -> str:

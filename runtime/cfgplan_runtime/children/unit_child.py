@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import socket
 import time
-import traceback
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,6 +12,7 @@ import msgspec
 from cfgplan.domain import ALL
 from cfgplan_runtime.children import messages
 from cfgplan_runtime.children.control import ControlConnection
+from cfgplan_runtime.children.failures import Failures
 from cfgplan_runtime.children.handover import Handover
 from cfgplan_runtime.children.ports import Ports, UnitInput, UnitOutput
 from cfgplan_runtime.children.program import ProgramCode
@@ -20,7 +20,7 @@ from cfgplan_runtime.children.program_source import names_program
 from cfgplan_runtime.children.steps import Step, StepQueue
 from cfgplan_runtime.children.unit_code import Given, UnitCode, imported_files
 from cfgplan_runtime.children.unit_order import SIGN_NS
-from cfgplan_runtime.errors import EncodingError, ProgramEndedError, ProgramFaultError, WrongPortsError
+from cfgplan_runtime.errors import ProgramEndedError, ProgramFaultError
 from cfgplan_runtime.streams.element import Element, Moment, Outgoing
 from cfgplan_runtime.streams.inlet import InputQueue, port_of
 from cfgplan_runtime.streams.payload import PayloadEncoder, decode
@@ -30,9 +30,6 @@ _LONGEST_WORK_NS = 1_000_000
 """Nanoseconds of back-to-back steps after which sockets are looked at again."""
 _BLOCKED_NS = 500_000_000
 _NEVER_NS = 1 << 63
-_MOST_REPORTS = 5
-"""Failures that are reported one by one between two signs of life."""
-_KINDS_OF_END = ((WrongPortsError, "wrong ports"), (EncodingError, "can't be sent"))
 _LATEST_TICK_NS = 100_000_000
 """A source that is later than this skips ticks instead of catching up."""
 
@@ -60,7 +57,8 @@ class UnitChild:
             counts=order.counts,
         )
         self._handover = Handover(self._steps, self._ports, order.queue)
-        self._errors = self._reported = 0
+        self._errors = 0
+        self._failures = Failures()
         self._program_faults = set[str]()
         """The kinds of faults of a program that were told."""
         self.step = 0
@@ -89,7 +87,6 @@ class UnitChild:
         self._last: dict[str, Moment] = {}
         self._results: Iterator[Given] | None = None
         self._next_step: Step | None = None
-        self._suppressed = ("", "")
         self._is_exhausted = self._is_finishing = self._is_interrupted = self._is_closing = False
         self._since_ns = _NEVER_NS
         """Since when unit code is at one piece of work; _NEVER_NS while it is not called."""
@@ -124,6 +121,8 @@ class UnitChild:
                 raise
             self._close_code()
             self._say_status()
+        finally:
+            self._tell_repeats(is_last=True)
 
     def close(self) -> None:
         """Close the sockets of its ports. A child needs no call of it, since its process ends."""
@@ -373,15 +372,9 @@ class UnitChild:
                 self._program_faults.add(error.what)
                 self._ports.say(messages.Trouble(error.what, self.step, str(error)))
             return
-        self._reported += 1
-        if self._reported > _MOST_REPORTS + 1:
-            return
-        kind = next((kind for known, kind in _KINDS_OF_END if isinstance(error, known)), "raised")
-        text = "".join(traceback.format_exception(error)) if kind == "raised" else str(error)
-        if self._reported > _MOST_REPORTS:
-            self._suppressed = kind, text
-        else:
-            self._ports.say(messages.Trouble(kind, self.step, text))
+        trouble = self._failures.take(error, self.step, time.monotonic_ns())
+        if trouble is not None:
+            self._ports.say(trouble)
 
     def _give_sign(self) -> None:
         """Give a sign of life, unless a program is silent though it has been asked."""
@@ -394,10 +387,7 @@ class UnitChild:
         self._said_ns = time.monotonic_ns()
         self._status_ns = self._said_ns + (self._order.idle_sign_ns if self._is_idle else SIGN_NS)
         self._is_idle = True
-        if self._reported > _MOST_REPORTS:
-            kind, text = self._suppressed
-            self._ports.say(messages.Trouble(kind, self.step, text, self._reported - _MOST_REPORTS))
-        self._reported = 0
+        self._tell_repeats()
         self._ports.say(
             messages.UnitSign(
                 self.step,
@@ -408,6 +398,10 @@ class UnitChild:
                 self._qualities.taken(),
             )
         )
+
+    def _tell_repeats(self, *, is_last: bool = False) -> None:
+        for trouble in self._failures.due(time.monotonic_ns(), is_last=is_last):
+            self._ports.say(trouble)
 
     def _input_counts(self) -> dict[str, messages.PortCounts]:
         """The counts of each port, of all its streams together."""

@@ -12,7 +12,7 @@ from typing import TypeVar
 from cfgplan.api import World
 from cfgplan.costs import labor_us, upkeep_us
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Host, Statement, Transformation
-from cfgplan.errors import InputError
+from cfgplan.errors import InputError, did_you_mean
 from cfgplan.facts import FactValue
 from cfgplan.planning import fresh_units
 from cfgplan.ros.sources import NodeSource
@@ -140,8 +140,8 @@ def check_host(world: Environment, host: str) -> None:
     """Raise InputError if a world has no host of this name."""
     hosts = hosts_of(world)
     if host not in hosts:
-        mend = f"choose one of {', '.join(hosts)}" if hosts else "no transformation names a host"
-        raise InputError.of(f"there is no host {host!r}", mend=mend)
+        choice = f"choose one of {', '.join(hosts)}" if hosts else "no transformation names a host"
+        raise InputError.of(f"there is no host {host!r}", mend=did_you_mean(host, hosts, choice))
 
 
 class EstimatedLibrary:

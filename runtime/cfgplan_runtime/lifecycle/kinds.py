@@ -102,8 +102,8 @@ class Kind(Generic[T]):
 
 def _failed(event: events.UnitFailed) -> str:
     if event.suppressed:
-        more = f"{_times(event.suppressed)} more, up to step {event.step}"
-        return f"{event.unit} failed {more}, such as ({event.what}): {short(event.text)}"
+        more = f"{_times(event.suppressed)} more in the same way, up to step {event.step}"
+        return f"{event.unit} failed {more} ({event.what}): {short(event.text)}"
     where = f" in step {event.step}" if event.step else ""
     return f"{event.unit} failed{where} ({event.what}): {short(event.text)}"
 

@@ -12,10 +12,11 @@ from typing import Any, Generic, TypeVar
 from cfgplan import api
 from cfgplan.api import World
 from cfgplan.domain import Environment, Target, Transformation
-from cfgplan.errors import Fault, InputError, InvalidValueError
+from cfgplan.errors import Fault, InputError, InvalidValueError, did_you_mean
 from cfgplan.formats.document import Document, read_declared, read_document
 from cfgplan.formats.fields import FORMAT, EnvironmentPart
 from cfgplan.matching import Ontology, TagError, UnknownNameError, check_tag
+from cfgplan.summary import some
 from cfgplan_runtime.lifecycle import changes
 
 T = TypeVar("T")
@@ -207,9 +208,13 @@ def _without(known: Mapping[str, T], names: Iterable[str]) -> Mapping[str, T]:
     return {name: value for name, value in known.items() if name not in gone}
 
 
+def _choice(names: Mapping[str, object]) -> str | None:
+    return f"choose one of {some(sorted(names), 8)}" if names else None
+
+
 def _check_known(what: str, names: Iterable[str], known: Mapping[str, object]) -> None:
     faults = [
-        Fault(f"there is no {what} {name!r}", mend=f"choose one of {', '.join(sorted(known)[:8])}" if known else None)
+        Fault(f"there is no {what} {name!r}", mend=did_you_mean(name, known.keys(), _choice(known)))
         for name in names
         if name not in known
     ]

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 MOST_WAITING: Final = 10_000
 """So many messages wait at most: at a subscriber of `qos` 0, and at a publisher whose broker is away."""
 _PORTS: Final = {"mqtt": 1883, "mqtts": 8883}
+_HERE: Final = "localhost"
+_NAMES_OF_HERE: Final = ("localhost", "127.0.0.1", "::1")
 _LONGEST_S: Final = 65_535
 """The longest keepalive of MQTT, in seconds."""
 _SESSION_S: Final = 300
@@ -268,6 +270,26 @@ def _no_longer() -> Any:
     return properties
 
 
+def parameters() -> list[str]:
+    """Return the names of a connection's parameters, without the broker and what units have of their own."""
+    return [name for name in inspect.signature(Connection).parameters if name not in ("broker", "say", "will")]
+
+
+def check_broker(broker: str) -> None:
+    """Raise InputError for what is not the address of a broker."""
+    _address(broker)
+
+
+def is_same_broker(one: str, other: str) -> bool:
+    """Return whether two addresses are of one broker, as far as they show it; False for what is no address."""
+    try:
+        first, second = _address(one), _address(other)
+    except InputError:
+        return False
+    hosts = [_HERE if found.hostname in _NAMES_OF_HERE else found.hostname for found in (first, second)]
+    return (hosts[0], first.port) == (hosts[1], second.port)
+
+
 def _address(broker: str) -> Any:
     """A broker's address by its parts. Raises InputError."""
     mend = "write HOST, HOST:PORT, mqtt://HOST:PORT or mqtts://HOST:PORT"
@@ -300,7 +322,6 @@ def _context(ca: str | None, certificate: str | None, key: str | None) -> ssl.SS
 
 def check_parameters(connection: Mapping[str, Any]) -> None:
     """Raise InputError for parameters that no connection can have."""
-    known = [name for name in inspect.signature(Connection).parameters if name not in ("broker", "say", "will")]
-    check_names("MQTT", known, connection)
+    check_names("MQTT", parameters(), connection)
     if "keepalive" in connection and not 1 <= connection["keepalive"] <= _LONGEST_S:
         raise InputError.of(f"`{connection['keepalive']}` can't be a keepalive", mend=f"it is from 1 to {_LONGEST_S} s")

@@ -62,8 +62,10 @@ class Listening:
         finally:
             self._connection.close()
         if found.is_empty:
+            of = "" if self._asked == ("#",) else f" on {some(self._asked)}"
             mend = "listen longer (--for 60s), or name other topics (--topic)"
-            raise InputError.of(f"nothing came from {name} in {span_s:g} s", mend=mend)
+            mend += "; MQTT tells `house/#` from `/house/#`" if of else ""
+            raise InputError.of(f"nothing came from {name}{of} in {span_s:g} s", mend=mend)
         return found
 
     def _is_asked(self, topic: str) -> bool:

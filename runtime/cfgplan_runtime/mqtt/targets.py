@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, Final
 
 from cfgplan.domain import Environment, Target
 from cfgplan.errors import Fault, InputError
-from cfgplan_runtime.mqtt.connection import Connection, MqttRefusedError, Outbox, check_parameters
+from cfgplan_runtime.mqtt.connection import (
+    Connection,
+    MqttRefusedError,
+    Outbox,
+    check_parameters,
+    is_same_broker,
+)
 from cfgplan_runtime.mqtt.topics import plain_topic
 from cfgplan_runtime.outside.once import Once
 from cfgplan_runtime.outside.payload_forms import encoded
@@ -16,6 +22,7 @@ from cfgplan_runtime.streams.payload import decode
 
 _QOS: Final = 1
 _ONLINE, _OFFLINE = b"online", "offline"
+_SUBSCRIBERS: Final = ("cfgplan_runtime.mqtt:Subscriber", "cfgplan_runtime.mqtt.units:Subscriber")
 
 
 class MqttTargets:
@@ -30,7 +37,7 @@ class MqttTargets:
         self, broker: str, tell: Callable[[str], None], *, status: str, retain: bool = False, **connection: Any
     ) -> None:
         check_parameters(connection)
-        self._status, self._retain = plain_topic(status), retain
+        self._broker, self._status, self._retain = broker, plain_topic(status), retain
         self._once = Once(tell)
         will = {"topic": status, "payload": _OFFLINE, "qos": _QOS, "retain": True}
         self._connection = Connection(broker, tell, will=will, **connection)
@@ -43,15 +50,23 @@ class MqttTargets:
         self._connection.open(keeps_session=True)
 
     def wanted(self, environment: Environment) -> tuple[Target, ...]:
-        """All targets that have a topic."""
-        return environment.stream_targets
+        """All targets with a topic that no source of the run hears; the others are reported."""
+        wanted = []
+        for target in environment.stream_targets:
+            try:
+                _check_unheard(target, environment, self._broker)
+            except InputError as error:
+                self._refuse(target, error)
+            else:
+                wanted.append(target)
+        return tuple(wanted)
 
     def begin(self, target: Target) -> bool:
         """Report a target that can't be published. Returns whether it can."""
         try:
             plain_topic(target.topic)
         except InputError as error:
-            self._once.tell(target.topic, f"{target.label} is not published at the broker: {error.faults[0].message}")
+            self._refuse(target, error)
             return False
         return True
 
@@ -77,18 +92,46 @@ class MqttTargets:
         # Quality 0 goes out before all that has waited.
         self._outbox.put(self._status, _ONLINE, 0, retain=True)
 
+    def _refuse(self, target: Target, error: InputError) -> None:
+        said = f"{target.label} is not published at the broker: {error.faults[0].message}"
+        self._once.tell(f"{target.topic} is refused", said)
+
     def _tell_refused(self) -> None:
         name, refusal = self._connection.name, self._connection.refusal
         self._once.tell("refused", f"{name}: {refusal}; targets are not published there")
 
 
-def check_targets(environment: Environment) -> None:
-    """Raise InputError for targets whose topics MQTT does not allow."""
+def check_targets(environment: Environment, broker: str) -> None:
+    """Raise InputError for targets that can't be published at a broker."""
     faults = list[Fault]()
     for target in environment.stream_targets:
         try:
             plain_topic(target.topic)
+            _check_unheard(target, environment, broker)
         except InputError as error:
             faults += (Fault(f"target {target.label}: {fault.message}", mend=fault.mend) for fault in error.faults)
     if faults:
         raise InputError(faults)
+
+
+def _check_unheard(target: Target, environment: Environment, broker: str) -> None:
+    """Raise InputError if a source of the run hears a target's topic at the broker."""
+    from paho.mqtt.client import topic_matches_sub
+
+    topic = target.topic
+    for label, heard in _heard(environment, broker):
+        if topic_matches_sub(heard, topic):
+            echo = f"{label} subscribes to {heard} there: the run would hear what it publishes, and publish it again"
+            mend = f"publish it elsewhere, such as `topic: cfgplan/{topic.strip('/') or target.label}`"
+            raise InputError.of(f"the topic {topic} can't be published at {broker}, since {echo}", mend=mend)
+
+
+def _heard(environment: Environment, broker: str) -> Iterator[tuple[str, str]]:
+    """Yield the label and the topic filter of each source that subscribes at a broker."""
+    for transformation in environment.library:
+        params = transformation.params
+        topic, there = params.get("topic"), params.get("broker")
+        if transformation.source not in _SUBSCRIBERS or not isinstance(topic, str) or not isinstance(there, str):
+            continue
+        if topic != "#" and is_same_broker(there, broker):  # no topic is out of the reach of `#`
+            yield transformation.label, topic

@@ -7,10 +7,17 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from cfgplan.errors import InputError
-from cfgplan_runtime.mqtt.connection import MOST_WAITING, Connection, Outbox, check_parameters
+from cfgplan_runtime.mqtt.connection import (
+    MOST_WAITING,
+    Connection,
+    Outbox,
+    check_broker,
+    check_parameters,
+    parameters,
+)
 from cfgplan_runtime.mqtt.topics import check_will, plain_topic, topic_filter
 from cfgplan_runtime.outside.payload_forms import PayloadForm, PayloadReader, check_form, encoded
-from cfgplan_runtime.outside.units import ORDERS_LOOK_S, only_value, say
+from cfgplan_runtime.outside.units import ORDERS_LOOK_S, check_call, only_value, say
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, MQTTMessage
@@ -52,6 +59,12 @@ class Subscriber:
         self._connection = Connection(broker, say, **connection)
         self._connection.on_begin = self._subscribe
         self._connection.on_message = self._hear
+
+    @classmethod
+    def check_params(cls, params: Mapping[str, Any]) -> None:
+        """Raise InputError for params with which no unit can be constructed. Connects to nothing."""
+        _check_params(cls, params)
+        topic_filter(params["topic"])
 
     def __iter__(self) -> Iterator[Any]:
         connection = self._connection
@@ -132,6 +145,12 @@ class Publisher:
         self._connection.open(keeps_session=qos > 0)
         self._connection.wait(_FIRST_S)
 
+    @classmethod
+    def check_params(cls, params: Mapping[str, Any]) -> None:
+        """Raise InputError for params with which no unit can be constructed. Connects to nothing."""
+        _check_params(cls, params)
+        plain_topic(params["topic"])
+
     def __call__(self, **inputs: object) -> None:
         self._outbox.put(self._topic, encoded(only_value(inputs), self._payload), self._qos, retain=self._retain)
 
@@ -139,6 +158,12 @@ class Publisher:
         """Wait up to 1.5 s for unconfirmed messages, then disconnect."""
         self._outbox.flush()
         self._connection.close()
+
+
+def _check_params(kind: type[Subscriber | Publisher], params: Mapping[str, Any]) -> None:
+    check_call(kind, "MQTT", parameters(), params)
+    check_broker(params["broker"])
+    _check_qos(params.get("qos", 1))
 
 
 def _check_qos(qos: int) -> None:

@@ -16,7 +16,14 @@ import msgspec
 from cfgplan_runtime.errors import ControlError, NoSuchRunError
 from cfgplan_runtime.operating.protocol import VERSION, Record, line, refused
 from cfgplan_runtime.streams.closable import Closable
-from cfgplan_runtime.streams.run_folder import base_folder, control_address, id_and_name, is_called, live_runs
+from cfgplan_runtime.streams.run_folder import (
+    base_folder,
+    control_address,
+    id_and_name,
+    is_called,
+    live_runs,
+    no_such_run,
+)
 
 if TYPE_CHECKING:
     from cfgplan_runtime.fleet.reached import ReachedFleet
@@ -127,7 +134,7 @@ def connect(run: str | None = None, fleet: ReachedFleet | None = None) -> Contro
     if found:
         raise NoSuchRunError(f"several runs are live: name one by --name: {_listed(found)}")
     if folders:
-        raise NoSuchRunError(f"no run {run!r} is live; live runs: {_listed(folders)}")
+        raise NoSuchRunError(no_such_run(run, folders, _listed(folders)))
     raise NoSuchRunError("no run is live: start one with `cfgplan run ENV`")
 
 
@@ -167,7 +174,7 @@ def _listed(folders: list[Path]) -> str:
             with connect_to(folder) as control:
                 system = control.system
                 about = f"{Path(system.environment).name}, pid {system.pid}"
-                parts.append(f"{id_and_name(folder)} of {about}" if system.name else f"{folder.name} ({about})")
+                parts.append(f"{system.name} ({system.run}, {about})" if system.name else f"{system.run} ({about})")
         except ControlError:
             parts.append(id_and_name(folder))
     return ", ".join(parts)

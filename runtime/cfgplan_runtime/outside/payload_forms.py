@@ -11,6 +11,8 @@ from typing import Any, Literal, get_args
 from cfgplan.errors import InputError
 from cfgplan_runtime.outside.once import Once
 
+_MOST_SHOWN = 20
+"""The bytes of an unreadable payload that are shown."""
 PayloadForm = Literal["json", "text", "number", "bytes"]
 
 
@@ -29,10 +31,20 @@ class PayloadReader:
         """The value in a payload that came at a place, such as a topic; empty if it can't be read."""
         try:
             return (_within(_decoded(payload, self._form), self._keys),)
-        except (ValueError, LookupError, RecursionError) as error:
-            fault = "has no such field" if isinstance(error, LookupError) else f"is not valid {self._form}"
-            self._once.tell(place, f"{place}: a message {fault}, and is left out: {error}")
-            return ()
+        except LookupError as error:
+            self._once.tell(place, f"{place}: a message has no such field, and is left out: {error}")
+        except (ValueError, RecursionError) as error:
+            told = f"a message is not valid {self._form}, and is left out: {error}"
+            self._once.tell(place, f"{place}: {told} (it begins {payload[:_MOST_SHOWN]!r}; {_other_form(payload)})")
+        return ()
+
+
+def _other_form(payload: bytes) -> str:
+    """Return which form takes a payload that another one does not."""
+    try:
+        return f"`payload: {'text' if payload.decode().isprintable() else 'bytes'}` takes it"
+    except UnicodeDecodeError:
+        return "`payload: bytes` takes it"
 
 
 def check_form(form: str) -> None:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Final
+import inspect
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, Final
 
+from cfgplan.errors import InputError
 from cfgplan_runtime.errors import WrongPortsError
+from cfgplan_runtime.outside.credentials import check_names
+from cfgplan_runtime.outside.payload_forms import check_form
 
 ORDERS_LOOK_S: Final = 0.05
 """A source that gets no messages looks for orders so often."""
@@ -27,3 +31,23 @@ def only_value(inputs: Mapping[str, object]) -> object:
         raise WrongPortsError(f"a publisher has one input, not {len(inputs)}")
     (value,) = inputs.values()
     return value
+
+
+def check_call(
+    kind: Callable[..., Any], protocol: str, connection: Iterable[str], params: Mapping[str, object]
+) -> None:
+    """Raise InputError for params that a class of unit code does not take, lacks, or can't read.
+
+    Its texts must be texts, and `payload` a known form. `connection` are the names of the params that the class passes
+    on to its connection.
+    """
+    own = [one for one in inspect.signature(kind).parameters.values() if one.kind is not one.VAR_KEYWORD]
+    check_names(protocol, [*(one.name for one in own), *connection], params)
+    lacking = [f"`{one.name}`" for one in own if one.default is one.empty and one.name not in params]
+    if lacking:
+        raise InputError.of(f"`params` has no {' and no '.join(lacking)}", mend="add it to `params`")
+    for one in own:
+        if one.annotation == "str" and not isinstance(text := params[one.name], str):
+            raise InputError.of(f"`{one.name}` must be a text, but is {text!r}", mend="put quotes around it")
+    if "payload" in params:
+        check_form(str(params["payload"]))

@@ -23,6 +23,8 @@ from cfgplan_runtime.ros2.host_messages import FromHost, Listening
 from cfgplan_runtime.ros2.ros_python import ros_python
 
 _PATIENCE_S = 60.0
+_MOST_LOOKS = 4
+"""Looks at a graph that lacks a node whose process is here. Each takes 2 to 10 s."""
 _ROS_ARGUMENTS, _ROS_END = "--ros-args", "--"
 _RENAMES = ("-r", "--remap")
 _NO_PARAMETERS = ("qos_overrides.", "start_type_description_service")
@@ -82,24 +84,52 @@ class Graph(msgspec.Struct, tag=True):
 def live_graph(python: str | None = None) -> RosGraph:
     """The graph of the domain of ROS_DOMAIN_ID, as the Python that has rclpy sees it.
 
-    Raises InputError if no such Python is found (see `ros_python`), or if ROS does not answer there.
+    Looks again while a process of this computer is a node that the graph lacks, as it is while nodes start. Raises
+    InputError if no such Python is found (see `ros_python`), if ROS does not answer there, or if there is no node.
     """
     link: HostLink[FromHost | Graph] = HostLink(ros_python(python), f"_cfgplan_import_{os.getpid()}", FromHost | Graph)
-    rmw, told = "", None
+    rmw = ""
     try:
-        link.send(DescribeGraph())
-        for message in link.await_words(_PATIENCE_S):
-            if isinstance(message, Graph):
-                told = message
+        for _ in range(_MOST_LOOKS):
+            told, named = _look(link)
+            rmw, running = named or rmw, processes()
+            if not _unseen(told, running):
                 break
-            if isinstance(message, Listening):
-                rmw = message.rmw
     finally:
         link.close()
-    if told is None:
-        mend = "try `ros2 node list` in the same surroundings"
-        raise InputError.of("ROS 2 has not answered", mend=mend)
-    return graph_of(told, rmw, processes())
+    if not told.nodes:
+        raise _nothing_seen(rmw, running)
+    return graph_of(told, rmw, running)
+
+
+def _look(link: HostLink[FromHost | Graph]) -> tuple[Graph, str]:
+    """The graph, and the middleware if the helper names it meanwhile. Raises InputError if ROS does not answer."""
+    rmw = ""
+    link.send(DescribeGraph())
+    for message in link.await_words(_PATIENCE_S):
+        if isinstance(message, Graph):
+            return message, rmw
+        if isinstance(message, Listening):
+            rmw = message.rmw
+    raise InputError.of("ROS 2 has not answered", mend="try `ros2 node list` in the same surroundings")
+
+
+def _unseen(told: Graph, running: Mapping[str, NodeProcess]) -> list[str]:
+    """The nodes that processes of this computer are, and the graph lacks."""
+    return sorted(running.keys() - {node.name for node in told.nodes})
+
+
+def _nothing_seen(rmw: str, running: Mapping[str, NodeProcess]) -> InputError:
+    place = f"the ROS 2 domain {_domain()} ({rmw})"
+    if running:
+        mend = "import again in some seconds; if they stay away, compare RMW_IMPLEMENTATION with theirs"
+        return InputError.of(f"{place} shows no node yet, though {some(sorted(running))} run here", mend=mend)
+    mend = "start the nodes first, with the same ROS_DOMAIN_ID and RMW_IMPLEMENTATION"
+    return InputError.of(f"there is no node in {place}", mend=mend)
+
+
+def _domain() -> str:
+    return os.environ.get("ROS_DOMAIN_ID", "0") or "0"
 
 
 def graph_of(told: Graph, rmw: str, running: Mapping[str, NodeProcess]) -> RosGraph:
@@ -114,14 +144,12 @@ def graph_of(told: Graph, rmw: str, running: Mapping[str, NodeProcess]) -> RosGr
     away = sorted(name for name in names if name not in running)
     if away:
         notes.append(f"what starts {some(away)}: no process on this computer says that it is that node")
-    unseen = sorted(running.keys() - names.keys())
-    if unseen:
+    if unseen := _unseen(told, running):
         notes.append(f"the ports of {some(unseen)}: a process here is that node, but the graph lacks it; import again")
     if not told.is_at_rest:
         notes.append("whether the graph is complete: it has not come to rest")
     nodes = [_node(node, ends, running.get(node.name)) for node in told.nodes]
-    domain = os.environ.get("ROS_DOMAIN_ID", "0")
-    return RosGraph(tuple(nodes), (f"the ROS 2 domain {domain} ({rmw})",), tuple(notes))
+    return RosGraph(tuple(nodes), (f"the ROS 2 domain {_domain()} ({rmw})",), tuple(notes))
 
 
 def _node(told: NodeTold, ends: Mapping[tuple[str, bool, str], EndTold], process: NodeProcess | None) -> RosNode:
@@ -186,12 +214,11 @@ def processes() -> dict[str, NodeProcess]:
     If several have the same name, the last counts: `ros2 run` and other wrappers have the same words as the node that
     they start.
     """
-    domain = os.environ.get("ROS_DOMAIN_ID", "0")
     found: dict[str, NodeProcess] = {}
     for process in sorted(psutil.process_iter(), key=psutil.Process.create_time):
         with suppress(psutil.Error):
             command = process.cmdline()
-            if _ROS_ARGUMENTS in command and (process.environ().get("ROS_DOMAIN_ID", "0") or "0") == domain:
+            if _ROS_ARGUMENTS in command and (process.environ().get("ROS_DOMAIN_ID", "0") or "0") == _domain():
                 named = node_process(command, Path(process.cwd()))
                 if named is not None:
                     found[named[0]] = named[1]

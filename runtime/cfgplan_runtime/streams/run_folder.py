@@ -16,11 +16,12 @@ import stat
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from urllib.parse import quote
 
+from cfgplan.errors import did_you_mean
 from cfgplan_runtime.errors import RuntimeFaultError
 
 _LONGEST_NAME = 24
@@ -167,6 +168,12 @@ def remove_dead_runs(base: Path) -> None:
     for path in base.iterdir():
         if path.is_dir() and not is_alive(path):
             shutil.rmtree(path, ignore_errors=True)
+
+
+def no_such_run(wanted: str | None, live: Sequence[Path], listed: str) -> str:
+    """The words for a run that is not live beside those that are, with the name that may be meant."""
+    named = did_you_mean(wanted or "", [name_of(run) or run.name for run in live])
+    return f"no run {wanted!r} is live{f' ({named})' if named else ''}; live runs: {listed}"
 
 
 def topics_of(run: Path) -> list[str]:

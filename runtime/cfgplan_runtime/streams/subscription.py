@@ -23,6 +23,7 @@ from cfgplan_runtime.streams.run_folder import (
     is_alive,
     is_called,
     live_runs,
+    no_such_run,
     topics_of,
 )
 
@@ -200,6 +201,6 @@ def _why_not(topic: str, run: str | None, found: list[Path]) -> str:
         return f"nothing publishes topic {topic!r}: no run is live; start one with `cfgplan run ENV`"
     meant = _live(run)
     if not meant:
-        return f"no run {run!r} is live; live runs: {', '.join(map(id_and_name, live))}"
+        return no_such_run(run, live, ", ".join(map(id_and_name, live)))
     there = sorted({name for path in meant for name in topics_of(path)})
     return f"nothing publishes topic {topic!r}; there is {', '.join(there) or 'no topic at all'}"

@@ -59,7 +59,8 @@ class SpareLost(Event, frozen=True):
 class UnitFailed(Event, frozen=True):
     """Unit code has failed in a step, and the unit continues.
 
-    If `suppressed` is not 0, the event stands for that many failures up to this step; `text` is the first one's.
+    If `suppressed` is not 0, the event stands for that many repeats of an earlier failure, up to this step; `text` is
+    the first one's. Repeats are reported once a second at first, then less and less often, down to once a minute.
     """
 
     unit: str

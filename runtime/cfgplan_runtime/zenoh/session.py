@@ -151,7 +151,12 @@ class ZenohUnitSession:
 
 def check_parameters(session: Mapping[str, Any]) -> None:
     """Raise InputError for parameters that no session can have."""
-    check_names("Zenoh", list(inspect.signature(ZenohUnitSession).parameters)[1:], session)
+    check_names("Zenoh", parameters(), session)
+
+
+def parameters() -> list[str]:
+    """Return the names of a session's parameters."""
+    return list(inspect.signature(ZenohUnitSession).parameters)[1:]
 
 
 def key_expression(text: str, *, is_plain: bool = False) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 from cfgplan.errors import InputError
@@ -10,8 +10,8 @@ from cfgplan.extras import needed
 from cfgplan_runtime.outside.mailbox import Mailbox
 from cfgplan_runtime.outside.once import Once
 from cfgplan_runtime.outside.payload_forms import PayloadForm, PayloadReader, check_form, encoded
-from cfgplan_runtime.outside.units import ORDERS_LOOK_S, only_value, say
-from cfgplan_runtime.zenoh.session import FIRST_S, ZenohUnitSession, check_parameters, key_expression
+from cfgplan_runtime.outside.units import ORDERS_LOOK_S, check_call, only_value, say
+from cfgplan_runtime.zenoh.session import FIRST_S, ZenohUnitSession, check_parameters, key_expression, parameters
 
 if TYPE_CHECKING:
     import zenoh
@@ -42,6 +42,11 @@ class Subscriber:
         self._reader = PayloadReader(payload, field, say)
         self._with_key = "*" in self._key_expr if with_key is None else with_key
         self._session = ZenohUnitSession(say, **session)
+
+    @classmethod
+    def check_params(cls, params: Mapping[str, Any]) -> None:
+        """Raise InputError for params with which no unit can be constructed. Opens no session."""
+        check_call(cls, "Zenoh", parameters(), params)
 
     def __iter__(self) -> Iterator[Any]:
         import zenoh
@@ -104,6 +109,11 @@ class Publisher:
         self._session.on_open = self._declare
         self._session.open()
         self._session.wait(FIRST_S)
+
+    @classmethod
+    def check_params(cls, params: Mapping[str, Any]) -> None:
+        """Raise InputError for params with which no unit can be constructed. Opens no session."""
+        check_call(cls, "Zenoh", parameters(), params)
 
     def __call__(self, **inputs: object) -> None:
         payload = encoded(only_value(inputs), self._payload)
