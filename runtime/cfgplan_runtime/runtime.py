@@ -237,8 +237,8 @@ class Runtime(Closable):
         self._executor.call(lambda: self.supervisor.backend.kill(unit))
 
     def remember(self, label: str, host: str | None, failures: Failures | None) -> None:
-        """Keep the `failures` of the transformation `label` on a `host` for the next manager, if units outlive this one;
-        None: forget them.
+        """Keep the `failures` of the transformation `label` on a `host` for the next manager, if units outlive this
+        one; None: forget them.
         """
         self._executor.call(lambda: self.supervisor.backend.remember(label, host, failures))
 

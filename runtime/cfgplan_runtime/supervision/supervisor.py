@@ -33,7 +33,7 @@ _LONGEST_ROUND_S = 1.0
 """After a longer round, this process was suspended, and has noticed nothing meanwhile."""
 _DRY_S = 2.5
 _MOST_REMEMBERED = 1000
-"""The number of change sets that are remembered by their ids."""
+"""The number of change sets that are remembered by the ids that their callers gave."""
 
 
 class Supervisor:
@@ -129,9 +129,11 @@ class Supervisor:
         self.backend.leave_hosts([host for host in change_set.removed_hosts if host not in carried.environment.host])
         self.environment = carried.environment
         self.spares.keep(self.environment, self.now())
-        applied = self._applied[name] = events.Applied(name, dict(carried.seconds), carried.unswitched)
-        if len(self._applied) > _MOST_REMEMBERED:
-            del self._applied[next(iter(self._applied))]
+        applied = events.Applied(name, dict(carried.seconds), carried.unswitched)
+        if id is not None:
+            self._applied[id] = applied
+            if len(self._applied) > _MOST_REMEMBERED:
+                del self._applied[next(iter(self._applied))]
         self._report(applied)
         return applied
 
