@@ -6,7 +6,7 @@ import json
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -21,6 +21,7 @@ from cfgplan.summary import some
 if TYPE_CHECKING:
     from cfgplan_runtime.lifecycle.basis import Preview
     from cfgplan_runtime.operating.operation import Settings
+    from cfgplan_runtime.supervision.events import FailuresKept
 
     from cfgplan.api import World
     from cfgplan.explaining.best_effort import BestEffort
@@ -127,11 +128,13 @@ def first_review(
     running: Environment = _NO_UNITS,
     warn: Callable[[str], None] = lambda _: None,
     faults: Mapping[str, Fault] = MappingProxyType({}),
+    failures: Iterable[FailuresKept] = (),
 ) -> Preview:
     """Plan as the first review of a run would, with the estimates that earlier runs have kept.
 
     `running` are the units of an earlier run that this one adopts. `warn` is told if the estimates can't be used.
-    Transformations whose code has `faults`, by label, are left out.
+    Transformations whose code has `faults`, by label, are left out, and so are places with `failures` for the time of
+    their back-off.
     """
     from cfgplan_runtime.estimating.estimates_file import EstimatesError, load
     from cfgplan_runtime.estimating.estimator import make_estimator
@@ -149,7 +152,11 @@ def first_review(
     policy = replace(settings.policy, hosts_s=None, refuses_hosts=False)  # no host is asked whether it is there
     deliberation = Deliberation(settings.planner, GuardedEstimator(estimator), policy, matches)
     plan_input = first_state(world, policy).plan_input
-    situation = plan_input.situation.with_started(running.units, running, time.monotonic())
+    now_s = time.monotonic()
+    situation = plan_input.situation.with_started(running.units, running, now_s)
+    for one in failures:
+        back_offs = situation.back_offs.restoring(one, now_s)
+        situation = replace(situation, back_offs=back_offs)
     code_faults = {label: str(fault) for label, fault in faults.items()}
     plan_input = replace(plan_input, running=running, situation=replace(situation, code_faults=code_faults))
     return preview_of(deliberation, plan_input, threading.Event())

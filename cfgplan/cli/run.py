@@ -219,7 +219,7 @@ def _first_plan(options: argparse.Namespace, world: World, settings: Settings, s
     if fleet is not None:
         from cfgplan_runtime.fleet.fleet_runtime import left_units
 
-        left = left_units(fleet, world.environment)
+        left = left_units(fleet, world.environment, _folder(options))
     matches = shared.matches(options, screen, world, FEW_PAIRS)
     known = matches.warnings
     adjusted = _adjusted(options, world)
@@ -228,7 +228,8 @@ def _first_plan(options: argparse.Namespace, world: World, settings: Settings, s
         show_faults(faults, _folder(options), screen)
     with screen.phase("plan"):
         running = Environment() if left is None else left.running
-        preview = first_review(adjusted, settings, matches, running, screen.warn, faults)
+        failures = () if left is None else left.failures
+        preview = first_review(adjusted, settings, matches, running, screen.warn, faults, failures)
     found = preview.findings.found
     reasons = () if found is None else found.plan.reasons.values()
     for warning in preview.findings.warnings:

@@ -19,6 +19,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import queue
 import random
 import re
 import resource
@@ -286,6 +287,13 @@ class Soak:
         self._await_result()
         _await(lambda: self.operation.manager.settle(1.0) and not self.unmet(), f"unmet: {self.unmet()}")
 
+    def read_news(self) -> None:
+        """Read and forget the reports that have come, as the command does: unread ones take memory."""
+        for unread in (self.operation.news, self.operation.runtime.events):
+            with suppress(queue.Empty):
+                while True:
+                    unread.get_nowait()
+
     def faults_told(self) -> dict[str, int]:
         """Return the number of deaths and hangs in the log, by kind."""
         assert self.operation.log is not None
@@ -528,6 +536,7 @@ def soak(minutes: float, seed: int) -> dict[str, object]:
                     print(f"{time.strftime('%X')} {deed.__name__}", flush=True)
                     deed()
                     run.settle()
+                    run.read_news()
                     done[deed.__name__] += 1
                 sizes.append(me.memory_info().rss >> 10)
                 descriptors.append(me.num_fds())

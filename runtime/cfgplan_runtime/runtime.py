@@ -13,7 +13,7 @@ from typing import Protocol, TypeVar
 from cfgplan.domain import ChangeSet, Environment, Stream, Target, Transformation
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.streams.closable import Closable
-from cfgplan_runtime.supervision.backend import Backend
+from cfgplan_runtime.supervision.backend import Backend, Failures
 from cfgplan_runtime.supervision.events import SIGNS, Applied, Event
 from cfgplan_runtime.supervision.listeners import Listeners
 from cfgplan_runtime.supervision.observation import Observation
@@ -214,12 +214,13 @@ class Runtime(Closable):
     def listen(self, listener: Callable[[Event], None]) -> None:
         """Call `listener` with every event, signs of life too, in order, from the supervisor's thread; returns at once.
 
-        It first gets the last event of each host, whether the host is lost or has joined, and one for each prepared
-        cold spare.
+        It first gets the last event of each host, whether the host is lost or has joined, one for each prepared cold
+        spare, and those about the units and failures that an earlier manager has left.
         """
 
         def begin() -> None:
-            for last in (*self.supervisor.hosts.values(), *self.supervisor.spares.prepared):
+            supervisor = self.supervisor
+            for last in (*supervisor.hosts.values(), *supervisor.spares.prepared, *supervisor.kept):
                 listener(last)
             self._listeners.add(listener)
 
@@ -234,6 +235,12 @@ class Runtime(Closable):
     def kill(self, unit: str) -> None:
         """End a unit at once; UnitDied follows. Does nothing if it does not run."""
         self._executor.call(lambda: self.supervisor.backend.kill(unit))
+
+    def remember(self, label: str, host: str | None, failures: Failures | None) -> None:
+        """Keep the `failures` of the transformation `label` on a `host` for the next manager, if units outlive this
+        one; None: forget them.
+        """
+        self._executor.call(lambda: self.supervisor.backend.remember(label, host, failures))
 
     def cut(self, unit: str | None, port: str) -> None:
         """Remove the stream of the input `port`, or of the topic `port` (`unit` is None), as if it had been lost.

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 
 
 def count() -> Iterator[int]:
@@ -102,6 +103,21 @@ class Waits:
             self.hold.with_suffix(".waiting").touch()
             while self.hold.exists():
                 time.sleep(0.01)
+        return x
+
+
+class FailsOn:
+    """Fails at its start on one host, which it notes in a file; elsewhere it gives what it gets."""
+
+    def __init__(self, host: str, note: str) -> None:
+        lines = [one.cmdline() for one in psutil.Process().parents()]
+        agent = next(line for line in lines if "cfgplan_runtime.fleet.local" in " ".join(line))
+        if host in agent:
+            with Path(note).open("a") as file:
+                file.write("failed\n")
+            raise ValueError("no camera")
+
+    def __call__(self, x: Any) -> Any:
         return x
 
 

@@ -107,12 +107,19 @@ class SmallFleet:
 
     @contextmanager
     def backend(
-        self, *hosts: str, folder: Path = FOLDER, takes_over: bool = False, wait_s: float = PATIENCE_S
+        self,
+        *hosts: str,
+        folder: Path = FOLDER,
+        takes_over: bool = False,
+        wait_s: float = PATIENCE_S,
+        library: Sequence[Transformation] = (),
     ) -> Iterator[FleetBackend]:
         with closing(RunFolder()) as run, closing(linked(self.endpoints, None, wait_s)) as link:
-            backend = FleetBackend(hosts, run, link, folder=folder, takes_over=takes_over, wait_s=wait_s)
+            known = {one.label: one for one in library}
+            more = {"folder": folder, "library": known, "takes_over": takes_over, "wait_s": wait_s}
+            backend = FleetBackend(hosts, run, link, **more)
             backend.found()
-            backend.wait(0.0)  # which sends the orders that end the rest
+            backend.take_hosts(())  # which sends the orders that end the rest
             yield backend
             backend.close()
 
@@ -142,6 +149,10 @@ class SmallFleet:
     def units(self) -> list[str]:
         """The units that really run, on all hosts."""
         return [words[2] for words, _ in self._children() if len(words) == 3 and words[2] not in ("nursery", "outlets")]
+
+    def pids(self, label: str) -> list[int]:
+        """The processes of a transformation's units, on all hosts."""
+        return [pid for words, pid in self._children() if len(words) == 3 and words[2].startswith(f"{label}.")]
 
     def spares(self) -> dict[str, int]:
         """The cold spares that are prepared, or being prepared, on all hosts, and their processes."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from typing import cast
+
+import pytest
 from cfgplan_runtime.children.messages import Export, Import, TellMark
 from cfgplan_runtime.children.unit_order import unit_order
 from cfgplan_runtime.fleet.adoption import Adoption, adopt
@@ -9,6 +12,7 @@ from cfgplan_runtime.fleet.orders import (
     CloseTopicOrder,
     CutOrder,
     DiscardOrder,
+    GiveStateOrder,
     Held,
     HeldExport,
     HeldImport,
@@ -20,7 +24,8 @@ from cfgplan_runtime.fleet.orders import (
     StopOrder,
 )
 from cfgplan_runtime.processes.process_backend import RELAY
-from cfgplan_runtime.supervision.backend import TAPS, FoundWire, Inlet, StoppingUnit
+from cfgplan_runtime.supervision.backend import TAPS, Backend, FoundWire, Inlet, StoppingUnit
+from cfgplan_runtime.supervision.wiring import Wiring
 from small_fleet import cold, source, unit, worker
 
 from cfgplan.domain import ComputationUnit, Publication, RunOptions, Stream, Transformation
@@ -163,3 +168,75 @@ def test_the_latest_state_of_each_name_is_found_also_if_no_unit_runs() -> None:
     adoption = adopt("new", {"r1": Held(), "r2": Held()}, LIBRARY, states)
     assert adoption.found is not None
     assert adoption.found.states == {"altitude": b"new", "map": b"map"}
+
+
+STATEFUL = {"count": LIBRARY["count"], "work": worker(run=RunOptions(state="altitude"))}
+
+
+def in_handover(asked: str = "is asked", new: str = "waits", *, is_wired: bool = True) -> Held:
+    """Units work.1 and work.2, which replaces it: its wires are the newest ones."""
+    units = started("count.1") | started("work.1", "work.2", library=STATEFUL)
+    units["work.1"].handover, units["work.2"].handover = asked, new  # type: ignore[assignment]
+    wires = [HeldWire(1, COUNTED, TO_WORK, has_switched=True)]
+    if is_wired:
+        wires += [HeldWire(2, COUNTED, Inlet("work.2", "x")), HeldWire(3, Stream("work.2", "y"), TO_TOPIC)]
+    return Held(units=units, wires=wires, topics={"/result": None})
+
+
+def ids(adoption: Adoption) -> list[str]:
+    assert adoption.found is not None
+    return [one.id for one in adoption.found.units]
+
+
+@pytest.mark.parametrize("asked", ["", "is asked"], ids=["before it is asked", "after it is asked"])
+def test_a_unit_that_waits_for_the_state_of_another_is_ended_and_the_other_is_kept(asked: str) -> None:
+    adoption = adopt("new", {"r1": in_handover(asked)}, STATEFUL)
+    assert (ids(adoption), adoption.ended) == (["count.1", "work.1"], [])
+    assert adoption.orders == [
+        ("r1", KillOrder("work.2", dump=False)),
+        ("r1", CutOrder(2, Inlet("work.2", "x"))),
+        ("r1", CutOrder(3, TO_TOPIC)),
+    ]
+
+
+def test_a_unit_that_waits_for_the_state_of_one_that_is_gone_is_kept_and_begins_with_the_last_known_one() -> None:
+    held = in_handover()
+    del held.units["work.1"]
+    for states in ({}, {"r1": {"altitude": HeldState(1, b"high")}}):
+        adoption = adopt("new", {"r1": held}, STATEFUL, states)
+        assert ids(adoption) == ["count.1", "work.2"]
+        last = b"high" if states else None
+        assert adoption.orders == [("r1", GiveStateOrder("work.2", last, {})), ("r1", CutOrder(1, TO_WORK))]
+
+
+def test_a_unit_whose_state_another_has_is_told_to_stop_unless_the_update_was_undone() -> None:
+    adoption = adopt("new", {"r1": in_handover(new="has it")}, STATEFUL)
+    assert (ids(adoption), adoption.ended) == (["count.1", "work.2"], [])
+    assert adoption.orders == [("r1", StopOrder("work.1"))]
+    assert adoption.found is not None
+    assert adoption.found.stopping == {"work.1": StoppingUnit("work", "r1", 0.0, None, "altitude")}
+    adoption = adopt("new", {"r1": in_handover(new="has it", is_wired=False)}, STATEFUL)
+    assert (ids(adoption), adoption.orders) == (["count.1", "work.1", "work.2"], [])
+
+
+def test_parts_in_earlier_handovers_end_nothing() -> None:
+    for asked in ("", "has it"):
+        adoption = adopt("new", {"r1": in_handover(asked, "has it")}, STATEFUL)
+        assert (ids(adoption), adoption.orders) == (["count.1", "work.1", "work.2"], [])
+
+
+def test_the_age_of_a_unit_is_known_by_the_clock_of_its_host() -> None:
+    held = Held(now_s=100.0, units=started("count.1"))
+    held.units["count.1"].since_s = 70.0
+    adoption = adopt("new", {"r1": held}, LIBRARY)
+    assert adoption.found is not None
+    assert adoption.found.ages_s == {"count.1": 30.0}
+
+
+def test_no_wire_gets_the_number_of_one_that_an_inlet_may_still_have() -> None:
+    first, second = (Held(units=started(one), last_wire=number) for one, number in (("count.1", 7), ("work.1", 9)))
+    adoption = adopt("new", {"r1": first, "r2": second}, LIBRARY)
+    assert adoption.found is not None
+    wiring = Wiring(cast("Backend", None))
+    wiring.adopt(adoption.found.wires, (), adoption.found.last_wire)
+    assert wiring.fresh_id() == 10

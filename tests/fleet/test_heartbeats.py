@@ -6,6 +6,7 @@ import queue
 import random
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 
@@ -59,7 +60,7 @@ class Ends:
         self.of_agent: queue.SimpleQueue[tuple[str, float]] = queue.SimpleQueue()
         self.agent = Answering([f"127.0.0.1 {free_udp_port()}", "/a/socket"], self.of_manager.put)
         stack.callback(self.agent.close)
-        self.manager = Asking(lambda name, at_s: self.of_agent.put((name, at_s)))
+        self.manager = Asking(lambda name, _, at_s: self.of_agent.put((name, at_s)))
         stack.callback(self.manager.close)
 
     def through(self, keeps: Callable[[bytes], bool]) -> Wire:
@@ -83,6 +84,28 @@ def test_an_agent_answers_the_manager_that_it_obeys_and_both_hear_of_each_other(
     assert [name for name, _ in answers] == ["r1"] * 3
     assert sorted(at_s for _, at_s in answers) == [at_s for _, at_s in answers]
     assert ends.of_manager.get(timeout=PATIENCE_S) == "m"
+
+
+def test_an_agent_that_has_answered_is_asked_at_once_and_has_some_round_trips_time(ends: Ends) -> None:
+    asked: queue.SimpleQueue[float] = queue.SimpleQueue()
+    manager = Asking(lambda _name, asked_s, _at_s: asked.put(asked_s))
+    try:
+        assert manager.ask_at_once("r1") == 0, "nobody of this name is asked"
+        secret = new_secret()
+        wire = ends.through(lambda _: is_there)
+        is_there = False
+        manager.ask("r1", [wire.place], secret)
+        eventually(lambda: len(wire.seen) >= 1)
+        assert manager.ask_at_once("r1") == 0, "it has never answered"
+        ends.agent.obey("m", secret)
+        is_there = True
+        asked.get(timeout=PATIENCE_S)
+        before_s = time.monotonic()
+        assert 0.02 <= manager.ask_at_once("r1") < PATIENCE_S
+        while asked.get(timeout=PATIENCE_S) < before_s:
+            pass
+    finally:
+        manager.close()
 
 
 def test_half_of_all_datagrams_may_be_lost(ends: Ends) -> None:

@@ -60,9 +60,9 @@ def left(tmp_path: Path) -> Iterator[tuple[SmallFleet, Path]]:
 def test_looking_at_what_is_left_changes_nothing(left: tuple[SmallFleet, Path]) -> None:
     fleet, env = left
     reached = Fleet((fleet.endpoints[0],))
-    found = left_units(reached, cfgplan.load(env).environment)
+    found = left_units(reached, cfgplan.load(env).environment, env.parent)
     assert [unit.id for unit in found.running.units] == ["count.1"] and not found.ended
-    other = left_units(reached, cfgplan.load(environment(env.parent, "other")).environment)
+    other = left_units(reached, cfgplan.load(environment(env.parent, "other")).environment, env.parent)
     assert other.ended == ("count.1",) and not other.running.units
     assert fleet.units() == ["count.1"]
 

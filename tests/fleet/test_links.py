@@ -171,6 +171,21 @@ def test_an_agent_whose_signs_came_in_time_up_to_now_has_ended_if_its_links_are_
     assert not pulse(in_time[-1]).is_steady(in_time[-1]), "its signs were late: this process, or the link, was stalled"
 
 
+def test_an_agent_whose_links_have_ended_is_gone_unless_it_answers_a_later_question_or_gives_a_sign() -> None:
+    silent, answering, signing = (pulse(1.0) for _ in range(3))
+    for one in (silent, answering, signing):
+        one.note_end(1.1, 0.02)
+        assert not one.is_gone(1.11)
+    silent.note_beat(1.0, 1.11)
+    answering.note_beat(1.1, 1.11)
+    signing.note(1.11)
+    assert silent.is_gone(1.13), "it answered before its links ended"
+    assert not answering.is_gone(1.13)
+    assert not signing.is_gone(1.13)
+    answering.note_end(2.0, 0.0)
+    assert answering.is_gone(2.0)
+
+
 @pytest.mark.parametrize("late_s", [0.0, 1.5])
 def test_a_manager_whose_link_is_gone_is_alive_as_long_as_a_lease_if_its_signs_were_late(late_s: float) -> None:
     lives, period_s = Lives(), sign_period_s()

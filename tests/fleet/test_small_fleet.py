@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise
+from math import inf
 from pathlib import Path
 
 import pytest
@@ -34,6 +35,7 @@ from cfgplan_runtime.supervision.events import (
 from cfgplan_runtime.supervision.updates import Patience
 from cfgplan_runtime.testing import Bench, check_middleware
 from small_fleet import (
+    PATIENCE_S,
     Listener,
     cold,
     eventually,
@@ -176,6 +178,21 @@ def test_a_dead_agent_is_noticed_at_once_and_its_units_are_replaced_elsewhere() 
         runtime.apply(ChangeSet(started=(moved(WORK, "work.2", "r3"),)))
         listener.await_more(10)
         assert listener.values == sorted(set(listener.values))
+
+
+def test_an_agent_whose_links_end_although_it_lives_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It has given its link up because it heard nothing, and makes it anew."""
+    with small_fleet("r1") as fleet, fleet.runtime(source()) as runtime:
+        runtime.apply(ChangeSet(started=(COUNT,)))
+        presence = runtime.supervisor.backend._presence
+        host = presence.there["r1"]
+        eventually(lambda: host.pulse.is_steady(time.monotonic()))
+        monkeypatch.setattr(presence._heartbeats, "ask_at_once", lambda _: PATIENCE_S)
+        presence._inbox.put((f"{alive_key('r1')}/{host.life}", False))
+        eventually(lambda: host.pulse.ended_s > 0)
+        eventually(lambda: not host.pulse.gone_s < inf)
+        assert seen(runtime, HostLost) == []
+        assert presence.there["r1"] is host
 
 
 def test_an_agent_that_zenoh_does_not_tell_of_is_found_and_lost_by_its_signs_of_life(

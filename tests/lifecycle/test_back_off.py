@@ -8,10 +8,11 @@ from typing import Any, TypeVar
 
 import pytest
 from cfgplan_runtime import Patience, Policy, SimulatedRuntime
+from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.lifecycle.back_off import BackOffRules, BackOffs, Place
 from cfgplan_runtime.lifecycle.changes import Add, ReviewNow, Stop
 from cfgplan_runtime.lifecycle.deliberation import without_stopping
-from cfgplan_runtime.lifecycle.perturbations import MayStartAgain, UpdateFailed
+from cfgplan_runtime.lifecycle.perturbations import MayStartAgain, UnitGone, UpdateFailed
 from cfgplan_runtime.lifecycle.reports import BackedOff, Decision, Phase
 from cfgplan_runtime.lifecycle.seams import DeclaredCosts
 from cfgplan_runtime.supervision.events import UnitReady
@@ -297,3 +298,17 @@ def test_a_report_that_raises_ends_nothing() -> None:
     life.manager.listen(lambda _: 1 // 0)
     life.fail("work.1")
     assert life.met == {"result"}
+
+
+def test_a_death_is_told_though_the_runtime_is_closed_and_remembers_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    life = started(source(), worker())
+    asked = []
+
+    def remember(*failures: object) -> None:
+        asked.append(failures)
+        raise RuntimeFaultError("the runtime is closed")
+
+    monkeypatch.setattr(life.runtime, "remember", remember)
+    life.fail("work.1")
+    assert len(asked) == 1
+    assert [one.unit for one in life.perturbations(UnitGone)] == ["work.1"]

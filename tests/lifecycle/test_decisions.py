@@ -39,7 +39,16 @@ from cfgplan_runtime.lifecycle.perturbations import (
     UnitKeepsFailing,
     UpdateFailed,
 )
-from cfgplan_runtime.lifecycle.reports import Decision, Ended, Observed, Perturbed, ReviewBegan, Reviewed, WorldRefused
+from cfgplan_runtime.lifecycle.reports import (
+    BackedOff,
+    Decision,
+    Ended,
+    Observed,
+    Perturbed,
+    ReviewBegan,
+    Reviewed,
+    WorldRefused,
+)
 from cfgplan_runtime.lifecycle.state import Gathering, Planning, State, Updating
 from cfgplan_runtime.lifecycle.transitions import (
     ApplyUpdate,
@@ -53,6 +62,7 @@ from cfgplan_runtime.lifecycle.transitions import (
     Observe,
     Planned,
     Prepare,
+    Remember,
     Respond,
     Seen,
     StopAll,
@@ -62,8 +72,10 @@ from cfgplan_runtime.lifecycle.transitions import (
     TimedInput,
     Updated,
 )
+from cfgplan_runtime.supervision.backend import Failures
 from cfgplan_runtime.supervision.events import (
     ClockMoved,
+    FailuresKept,
     HostJoined,
     HostLost,
     InputLost,
@@ -73,6 +85,7 @@ from cfgplan_runtime.supervision.events import (
     TopicsStatus,
     UnitDied,
     UnitFailed,
+    UnitFound,
     UnitHung,
     UnitReady,
     UnitStatus,
@@ -352,6 +365,42 @@ def test_the_second_failure_in_a_row_is_waited_after_and_then_it_may_start_again
     state, effects = after(replace(state, observe_at_s=inf), 3.0, Tick(0.0))
     assert perturbations(effects) == [MayStartAgain(("work",))]
     assert state.situation.back_offs.avoided == frozenset()
+
+
+def test_each_change_of_failures_is_remembered_for_the_next_manager() -> None:
+    state, place, work = stable(), Place("work", "far"), LIBRARY[1]
+    for at_s, left_s in ((1.0, 0.0), (2.0, 1.0)):
+        number = round(at_s)
+        state, effects = after(state, at_s, UnitDied("work.1", "crash"))
+        state = replace(state, entries=(), situation=state.situation.with_started((WORK,), RUNNING, at_s))
+        assert found(effects, Remember) == [Remember(place, Failures(work, "far", number, left_s, "crash"))]
+    assert found(after(state, 2.5, HostJoined("far"))[1], Remember) == []
+    _, effects = after(state, 3.0, asked(ReviewNow("a person")))
+    assert found(effects, Remember) == [Remember(place, None)]
+
+
+def test_a_manager_goes_on_with_the_failures_of_the_one_before_it() -> None:
+    place, kept = Place("work", "far"), FailuresKept("work", "far", 3, 2.5, "crash")
+    state, effects = after(first_state(world(), POLICY), 10.0, kept, running=EMPTY)
+    assert state.situation.back_offs.avoided == {place}
+    assert state.wake_s == 12.5
+    assert found(effects, LearnOfFailure) == [LearnOfFailure(place)] * 3
+    (backed_off,) = [told.report.backing_off for told in found(effects, Tell) if isinstance(told.report, BackedOff)]
+    assert (backed_off.failures, backed_off.left_s, backed_off.cause) == (3, 2.5, "crash")
+    again = kept.__class__("work", "far", 9, 99.0, "an older one")
+    assert after(state, 11.0, again, running=EMPTY)[0].situation.back_offs == state.situation.back_offs
+    ended, _ = after(first_state(world(), POLICY), 10.0, FailuresKept("work", "far", 3, 0.0, "crash"), running=EMPTY)
+    assert ended.situation.back_offs.avoided == frozenset(), "its wait is over"
+    ended, _ = after(ended, 11.0, UnitFound("work.1", 5.0), UnitDied("work.1", "crash"))
+    assert ended.situation.back_offs.records[place].failures == 4, "and the next failure is the fourth"
+
+
+@pytest.mark.parametrize(("age_s", "failures"), [(5.0, 4), (3600.0, 1)])
+def test_the_life_of_a_unit_before_a_takeover_counts(age_s: float, failures: int) -> None:
+    kept = FailuresKept("work", "far", 3, 0.0, "crash")
+    state, _ = after(first_state(world(), POLICY), 10.0, kept, UnitFound("work.1", age_s))
+    state, _ = after(state, 11.0, UnitDied("work.1", "crash"))
+    assert state.situation.back_offs.records[Place("work", "far")].failures == failures
 
 
 def test_at_the_horizon_units_are_observed_before_it_is_planned() -> None:

@@ -5,9 +5,13 @@ from __future__ import annotations
 import random
 from collections.abc import Iterable
 from dataclasses import replace
-from itertools import pairwise
+from itertools import islice, pairwise
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
+from cfgplan_runtime.children.handover import Handover
+from cfgplan_runtime.children.ports import Ports
 from cfgplan_runtime.children.steps import Step, StepQueue
 from cfgplan_runtime.streams.element import BEFORE_ALL, Element, Moment
 from cfgplan_runtime.supervision.events import StateNotExact
@@ -67,6 +71,33 @@ def test_the_steps_of_two_units_are_those_of_one(seed: int, start: str, loose: s
         for element in following.begin_at(inlet, given.done, kept):
             following.put(inlet, element, may_drop=False)
     assert steps + made(following) + fed(following, arrivals[last:]) == whole
+
+
+def test_a_unit_whose_state_is_late_keeps_few_elements_holds_nobody_up_and_begins_only_with_its_state(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its manager may be gone, and the unit before it may still need the same stream."""
+    clock = SimpleNamespace(now_ns=0)
+    monkeypatch.setattr("cfgplan_runtime.children.handover.time.monotonic_ns", lambda: clock.now_ns)
+    queue = StepQueue(["x"], start="all", tolerance_ns=0, limit=3)
+    handover = Handover(queue, cast("Ports", SimpleNamespace(inputs={})), 3)
+    handover.hold()
+    numbers = iter(range(1000))
+
+    def come(count: int) -> None:
+        for number in islice(numbers, count):
+            handover.keep("x", Element(number, 0, number, b""), may_drop=False)
+
+    come(10)
+    assert (handover.waiting("x"), queue.dropped["x"], handover.is_full("x")) == (10, 0, True)
+    clock.now_ns = 3_600_000_000_000
+    come(10)
+    handover.refill()
+    assert (handover.waiting("x"), queue.dropped["x"], handover.is_full("x")) == (3, 17, False)
+    assert (handover.is_waiting, made(queue)) == (True, [])
+    handover.begin({})
+    handover.refill()
+    assert (handover.is_waiting, made(queue)) == (False, [{"x": 17}, {"x": 18}, {"x": 19}])
 
 
 def modes(code: str, **more: object) -> tuple[Transformation, Transformation]:

@@ -164,8 +164,9 @@ class Scene:
         for wire in self.feeds.values():
             wire.has_switched = True  # the end of a source is what its standby waits for
 
-    def carry_out(self, change_set: ChangeSet) -> CarriedOut:
-        commands = carry_out(self, change_set, environment_after(self.environment, change_set), Patience())
+    def carry_out(self, change_set: ChangeSet, *, keeps_new: bool = False) -> CarriedOut:
+        after = environment_after(self.environment, change_set)
+        commands = carry_out(self, change_set, after, Patience(), keeps_new=keeps_new)
         while True:
             try:
                 self.obey(next(commands))
@@ -297,6 +298,25 @@ NEXT = "hold low.1, count.1/n > low.1/x, low.1/y > /result"
 def test_a_unit_goes_on_with_the_present_state_of_the_one_that_it_replaces(scene: Scene, said: str) -> None:
     scene.carry_out(LOWER)
     assert ", ".join(scene.said).startswith(f"start low.1, wait, {NEXT}, {said}, stop high.1")
+
+
+def test_a_unit_that_an_undone_update_has_kept_is_given_the_state_by_the_next() -> None:
+    kept = replace(MODES, units=(*MODES.units, unit("low.1")))
+    scene = Scene(kept)
+    scene.carry_out(ChangeSet(rewired=LOWER.started, stopped=LOWER.stopped))
+    told = "places low.1, wait, ask high.1 x, wait, give low.1 that of high.1 ['x'], wait"
+    assert ", ".join(scene.said).startswith(f"wait, {NEXT}, {told}, stop high.1")
+
+
+def test_a_unit_that_waits_for_a_state_begins_with_the_last_known_one_if_its_update_is_undone_and_it_is_kept() -> None:
+    quiet = worker("quiet")
+    environment = replace(MODES, library=(*MODES.library, quiet))
+    change_set = replace(LOWER, started=(*LOWER.started, unit("quiet.1", x="low.1/y")))
+    scene = Scene(environment, quiet={"low.1", "quiet.1"}, failing={"quiet.1"})
+    with pytest.raises(ApplyError):
+        scene.carry_out(change_set, keeps_new=True)
+    assert scene.said.count("give low.1 what is known []") == 1
+    assert {"low.1", "high.1"} <= scene.alive
 
 
 def test_a_unit_that_replaces_none_is_given_no_state() -> None:

@@ -19,8 +19,8 @@ from cfgplan_runtime.streams.element import BEFORE_ALL, Element, Moment
 from cfgplan_runtime.streams.inlet import port_of
 
 _MOST_HELD_NS = 5_000_000_000
-"""Nanoseconds after which a unit works without the state, and a source that has told its state goes on: the supervisor
-may be gone.
+"""Nanoseconds after which a unit that waits for a state keeps few elements, and a source that has told its state goes
+on: the supervisor may be gone, and the next one undoes the hand-over.
 """
 _MOST_HELD = 4096
 """The most elements that an inlet keeps: four seconds at 1,000 Hz."""
@@ -36,8 +36,10 @@ class Handover:
         self._held: dict[str, deque[Element]] | None = None
         """By inlet the elements that the steps have not got yet; None if they get each at once."""
         self._most = _MOST_HELD
-        self._until_ns: int | None = None
-        """When the steps begin without a state; None while none waits for it."""
+        self.is_waiting = False
+        """Whether no step may begin, since the state has not come."""
+        self._late_ns = 0
+        """From when on a waiting unit keeps few elements."""
         self._begun: Collection[str] | None = None
         """The inlets that must have received an element before the places are told; None if nobody asks."""
         self._asked: Mapping[str, Moment] | None = None
@@ -46,8 +48,8 @@ class Handover:
 
     def hold(self) -> None:
         """Keep the elements that come before the state."""
-        self._held, self._most = {}, _MOST_HELD
-        self._until_ns = time.monotonic_ns() + _MOST_HELD_NS
+        self._held, self._most, self.is_waiting = {}, _MOST_HELD, True
+        self._late_ns = time.monotonic_ns() + _MOST_HELD_NS
 
     @property
     def is_keeping(self) -> bool:
@@ -55,11 +57,8 @@ class Handover:
         return self._held is not None
 
     @property
-    def waits_until_ns(self) -> int | None:
-        """The time until which no step may begin; None if one may now."""
-        if self._until_ns is not None and time.monotonic_ns() >= self._until_ns:
-            self._until_ns = None
-        return self._until_ns
+    def _is_late(self) -> bool:
+        return self.is_waiting and time.monotonic_ns() >= self._late_ns
 
     @property
     def pause_ns(self) -> int:
@@ -67,17 +66,20 @@ class Handover:
         return self._paused_until_ns
 
     def keep(self, inlet: str, element: Element, *, may_drop: bool) -> None:
-        """Keep an element for later steps. Without room the oldest of its inlet is dropped, if it `may_drop`."""
+        """Keep an element for later steps. Without room the oldest of its inlet is dropped, if it `may_drop`.
+
+        A unit whose state is late drops in any case: it must not stop those that feed the unit before it, too.
+        """
         assert self._held is not None
-        kept = self._held.setdefault(inlet, deque())
+        kept, is_late = self._held.setdefault(inlet, deque()), self._is_late
         kept.append(element)
-        if may_drop and len(kept) > self._most:
+        while (may_drop or is_late) and len(kept) > (self._limit if is_late else self._most):
             kept.popleft()
             self._steps.dropped[port_of(inlet)] += 1
 
     def is_full(self, inlet: str) -> bool:
         """Whether an inlet keeps as many elements as may wait for its steps."""
-        return self._held is not None and len(self._held.get(inlet, ())) >= self._limit
+        return self._held is not None and not self._is_late and len(self._held.get(inlet, ())) >= self._limit
 
     def waiting(self, port: str) -> int:
         """The number of elements that a port keeps."""
@@ -85,9 +87,9 @@ class Handover:
 
     def begin(self, inputs: Mapping[str, GivenInput]) -> None:
         """Let steps begin at a place; without one, with the elements that came. Has no effect after the first step."""
-        if self.waits_until_ns is None:
+        if not self.is_waiting:
             return
-        self._until_ns = self._begun = None
+        self.is_waiting, self._begun = False, None
         held = self._held or {}
         for inlet, given in inputs.items():
             if inlet in self._ports.inputs:
@@ -100,7 +102,7 @@ class Handover:
 
     def refill(self) -> None:
         """Give the steps the kept elements that they have room for."""
-        if self._held is None or self.waits_until_ns is not None:
+        if self._held is None or self.is_waiting:
             return
         for inlet, kept in self._held.items():
             while kept and not self._steps.is_full(inlet):

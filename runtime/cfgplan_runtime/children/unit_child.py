@@ -228,7 +228,7 @@ class UnitChild:
 
     @property
     def _pending(self) -> Step | None:
-        if self._next_step is None and not self._is_source and self._handover.waits_until_ns is None:
+        if self._next_step is None and not self._is_source and not self._handover.is_waiting:
             self._handover.refill()
             self._next_step = self._steps.next()
         return self._next_step
@@ -236,7 +236,7 @@ class UnitChild:
     @property
     def _may_tick(self) -> bool:
         may = self._is_source and not self._is_exhausted and not self._is_finishing and self._has_room
-        return may and self._handover.waits_until_ns is None
+        return may and not self._handover.is_waiting
 
     def _patience_s(self) -> float:
         now = time.monotonic_ns()
@@ -246,7 +246,6 @@ class UnitChild:
                 return 0.0
             if self._may_tick:
                 until = min(until, max(self._tick_ns, self._handover.pause_ns))
-            until = min(until, self._handover.waits_until_ns or until)
         return max(0.0, (until - now) / 1e9)
 
     def _work(self) -> None:

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+import hashlib
+from collections import defaultdict
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from types import MappingProxyType
+
+import msgspec
 
 from cfgplan.domain import ComputationUnit, Host, Publication, Subscription, Transformation
 from cfgplan_runtime.children.messages import Release
 from cfgplan_runtime.children.unit_order import unit_order
+from cfgplan_runtime.fleet.agent import digest_of, source_file
 from cfgplan_runtime.fleet.orders import (
     CloseTopicOrder,
     CutOrder,
     DiscardOrder,
+    GiveStateOrder,
     Held,
     HeldState,
     HeldUnit,
@@ -20,6 +27,7 @@ from cfgplan_runtime.fleet.orders import (
 )
 from cfgplan_runtime.fleet.routes import Crossing, OrderTo, Route, Routes
 from cfgplan_runtime.processes.process_backend import RELAY
+from cfgplan_runtime.supervision import events
 from cfgplan_runtime.supervision.backend import Found, FoundWire, StoppingUnit, is_tap
 
 
@@ -28,7 +36,8 @@ class Adoption:
     """The units and wires that a manager keeps.
 
     `units` (including stopping ones) and `spares` map ids to hosts; `topics` has for each topic the host that was asked
-    for and the host where it is. `ended` has the ids of the units that this manager is the first to end.
+    for and the host where it is. `ended` has the ids of the units that this manager is the first to end,
+    without those that a hand-over of their state ends.
     """
 
     found: Found | None
@@ -48,7 +57,7 @@ def adopt(
     states: Mapping[str, Mapping[str, HeldState]] = MappingProxyType({}),
 ) -> Adoption:
     """Keep the units that `library` would start in the same way, and the wires between them. The others are told to
-    stop.
+    stop. A hand-over of a state that was under way is finished if the new unit has the state, and undone otherwise.
 
     `held` has the units and wires of each host, and `states` its last states. Hosts that were cut off from each other
     may have units, spares or topics of the same name: those of the latest manager are kept. The names of later
@@ -56,8 +65,12 @@ def adopt(
     """
     held = dict(sorted(held.items(), key=lambda item: (-item[1].term, item[0])))
     stopping = _stopping(held)
-    kept, ended_units = _kept({host: one.units for host, one in held.items()}, library, stopping)
-    told = _told(held, ended_units, {**kept, **stopping})
+    undone, replaced = _handovers(held)
+    kept, ended_units = _kept(
+        {host: one.units for host, one in held.items()}, library, {**stopping, **replaced}, undone
+    )
+    ended_units += [(host, unit) for unit, host in replaced.items()]
+    told = _told(held, [one for one in ended_units if one not in undone], {**kept, **stopping})
     killed = [(host, unit) for host, unit in ended_units if told.get(unit) != host]
     awaited = [unit for unit, host in stopping.items() if not _is_told(held[host].units[unit])]
     stopping |= told
@@ -69,16 +82,18 @@ def adopt(
     routes, has_switched, cut = _routes(held, units, {topic: host for topic, (_, host) in topics.items()}, crossings)
     fed = [crossing for crossing in crossings.values() if units.get(crossing.stream.unit) == crossing.source]
     made = Routes(run, routes, crossings.values(), fed)
-    found = _found(held, kept, stopping, spares, topics, routes, has_switched, library, _latest(states))
+    latest = _latest(states)
+    found = _found(held, kept, stopping, spares, topics, routes, has_switched, library, latest)
     return Adoption(
         found if units or spares or topics or found.states else None,
         units,
         spares,
         topics,
         made,
-        sorted({unit for _, unit in ended_units}),
+        sorted({unit for host, unit in ended_units if unit not in replaced and (host, unit) not in undone}),
         [
             *((host, KillOrder(unit, dump=False)) for host, unit in killed),
+            *_states_given(held, kept, latest),
             *(order for unit in (*awaited, *told) for order in made.stop(unit, stopping[unit])),
             *((host, DiscardOrder(spare)) for host, spare in ended_spares),
             *released,
@@ -99,6 +114,65 @@ def _stopping(held: Mapping[str, Held]) -> dict[str, str]:
         for unit, known in one.units.items()
         if known.stop is not None and known.labor_us is not None
     }
+
+
+def failures_kept(
+    host: str, held: Held, library: Mapping[str, Transformation], folder: Path
+) -> list[events.FailuresKept]:
+    """The failures on a host of the transformations that would be started in the same way now, with the same code."""
+    return [
+        events.FailuresKept(label, host, one.number, max(0.0, one.left_s - (held.now_s - one.at_s)), one.cause)
+        for label, one in sorted(held.failures.items())
+        if label in library and one.digest == start_digest(library[label], folder)
+    ]
+
+
+def start_digest(transformation: Transformation, folder: Path) -> str:
+    """The digest of the order that starts a unit of a transformation, and of its code."""
+    order = msgspec.json.encode(unit_order("", transformation, None), order="deterministic")
+    return hashlib.sha256(order + (code_digest(transformation, folder) or "").encode()).hexdigest()
+
+
+def code_digest(transformation: Transformation, folder: Path) -> str | None:
+    """The digest of a transformation's source file, which is relative to a folder; None without such a file."""
+    file = source_file(transformation.source or "", folder)
+    return None if file is None else digest_of(file)
+
+
+def _handovers(held: Mapping[str, Held]) -> tuple[set[tuple[str, str]], dict[str, str]]:
+    """The hand-overs of states under way: (host, id) of new units that still wait for the state of a unit that runs,
+    and the host of each unit by id whose state a new, connected one has.
+    """
+    by_name = defaultdict[str, dict[tuple[str, str], HeldUnit]](dict)
+    for host, one in held.items():
+        for unit, known in one.units.items():
+            if known.order.state_name is not None and known.stop is None:
+                by_name[known.order.state_name][host, unit] = known
+    undone, replaced = set[tuple[str, str]](), dict[str, str]()
+    for units in by_name.values():
+        waiting = {place for place, known in units.items() if known.handover == "waits"}
+        asked = [place for place, known in units.items() if known.handover == "is asked"]
+        new = [place for place, known in units.items() if known.handover == "has it" and _is_connected(held, *place)]
+        if len(waiting) < len(units):
+            undone |= waiting
+        if not waiting and len(asked) == len(new) == 1:  # units that share a state in other ways are left to plans
+            replaced[asked[0][1]] = asked[0][0]
+    return undone, replaced
+
+
+def _states_given(held: Mapping[str, Held], kept: Mapping[str, str], states: Mapping[str, bytes]) -> Iterator[OrderTo]:
+    """Yield orders that let kept units begin which wait for a state: the unit before them is gone, too."""
+    for unit, host in kept.items():
+        known = held[host].units[unit]
+        if known.handover == "waits":
+            yield host, GiveStateOrder(unit, states.get(known.order.state_name or ""), {})
+
+
+def _is_connected(held: Mapping[str, Held], host: str, unit: str) -> bool:
+    here = held[host]
+    return any(unit in (wire.inlet.unit, wire.stream.unit) for wire in here.wires) or any(
+        export.stream is not None and export.stream.unit == unit for export in here.exports.values()
+    )
 
 
 def _is_told(unit: HeldUnit) -> bool:
@@ -124,10 +198,13 @@ def _latest(states: Mapping[str, Mapping[str, HeldState]]) -> dict[str, bytes]:
 
 
 def _kept(
-    held: Mapping[str, Mapping[str, HeldUnit]], library: Mapping[str, Transformation], stopping: Mapping[str, str]
+    held: Mapping[str, Mapping[str, HeldUnit]],
+    library: Mapping[str, Transformation],
+    stopping: Mapping[str, str],
+    undone: Collection[tuple[str, str]] = (),
 ) -> tuple[dict[str, str], list[tuple[str, str]]]:
     """The hosts of kept units by id, and (host, id) of the units to end. A unit is kept if `library` would start it in
-    the same way now, and it was not told to stop.
+    the same way now, it was not told to stop, and its start is not `undone`.
 
     If several units have one id, the first is kept, unless one of them is `stopping`.
     """
@@ -136,7 +213,8 @@ def _kept(
         for unit, known in units.items():
             transformation = library.get(known.label)
             is_as_wanted = transformation is not None and unit_order(unit, transformation, None) == known.order
-            if is_as_wanted and known.stop is None and unit not in kept.keys() | stopping.keys():
+            is_free = unit not in kept.keys() | stopping.keys() and (host, unit) not in undone
+            if is_as_wanted and known.stop is None and is_free:
                 kept[unit] = host
             elif stopping.get(unit) != host:
                 ended.append((host, unit))
@@ -218,6 +296,8 @@ def _found(
         {topic: asked for topic, (asked, _) in topics.items()},
         {unit: _stopping_unit(held[host].units[unit], host, held[host].now_s) for unit, host in stopping.items()},
         states,
+        {unit: held[host].now_s - running[unit].since_s for unit, host in units.items()},
+        max((one.last_wire for one in held.values()), default=0),
     )
 
 

@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 
@@ -157,7 +158,7 @@ class Agent:
         offset_ns = self._backend.clock_offset_ns
         self._link.answer(clock_key(self.name, self._life), HostClock(lambda: time.monotonic_ns() + offset_ns).answer)
         self._link.answer(orders.topics_key(self.name), self._topics_told)
-        self._link.answer(orders.held_key(self.name), lambda: msgspec.json.encode(self._held))
+        self._link.answer(orders.held_key(self.name), self._held_told)
         self._link.watch(f"{alive_key(MANAGER)}/*", self._note_manager)
         self._link.hear(f"{alive_key(MANAGER)}/*", lambda key, *_: self._note_manager(key, is_alive=True))
         for kind in (orders.SAY, orders.HEARD):
@@ -168,6 +169,10 @@ class Agent:
         channel, held = self._channel, self._held
         run = "" if channel is None else channel.session.manager
         return msgspec.json.encode(orders.TopicsReport(run, list(held.topics), held.ahead_ns or 0))
+
+    def _held_told(self) -> bytes:
+        """Called by threads of the link."""
+        return msgspec.json.encode(msgspec.structs.replace(self._held, now_s=time.monotonic()))
 
     def _note_manager(self, key: str, is_alive: bool) -> None:
         """Called by threads of the link, as `_take` is."""
@@ -296,6 +301,12 @@ class Agent:
                     self._end_everything()
             case orders.LeaveOrder():
                 self._end_everything()
+                self._held.failures.clear()
+            case orders.KeepFailuresOrder(label, None):
+                held.failures.pop(label, None)
+            case orders.KeepFailuresOrder(label, orders.HeldFailures() as failures):
+                failures.at_s = time.monotonic()
+                held.failures[label] = failures
             case orders.ClockOrder(ahead_ns):
                 held.ahead_ns = ahead_ns
                 backend.correct_clock(ahead_ns)
@@ -315,12 +326,15 @@ class Agent:
                     backend.stop(unit)
                 backend.kill(unit, dump=dump)
             case orders.HoldOrder(unit):
+                self._note_handover(unit, "waits")
                 backend.hold(unit)
             case orders.AskPlacesOrder(unit, begun):
                 backend.ask_places(unit, begun)
             case orders.AskStateOrder(unit, until):
+                self._note_handover(unit, "is asked")
                 backend.ask_state(unit, until)
             case orders.GiveStateOrder(unit, state, inputs):
+                self._note_handover(unit, "has it")
                 backend.give_state(unit, state, inputs)
             case orders.ConnectOrder(wire, stream, inlet, queue, blocks):
                 self._hold_wire(order)
@@ -358,6 +372,10 @@ class Agent:
             case TellMark():
                 backend.tell_relay(order)
 
+    def _note_handover(self, unit: str, part: Literal["waits", "has it", "is asked"]) -> None:
+        if unit in self._held.units:
+            self._held.units[unit].handover = part
+
     def _hold_wire(self, order: orders.ConnectOrder) -> None:
         held = self._held
         if order.inlet.unit == RELAY and order.inlet.port in held.exports:
@@ -366,6 +384,7 @@ class Agent:
             return
         held.forget_wires(lambda one: one.inlet == order.inlet)
         held.wires.append(orders.HeldWire(order.wire, order.stream, order.inlet))
+        held.last_wire = max(held.last_wire, order.wire)
         if order.stream.unit == RELAY and order.stream.port in held.imports:
             held.imports[order.stream.port].connected += 1
 
@@ -380,7 +399,7 @@ class Agent:
             self._backend.close_outlet(topic)
         for crossing in (*held.exports, *held.imports):
             self._backend.tell_relay(Release(crossing))
-        self._held = orders.Held(held.term, units=held.units)
+        self._held = orders.Held(held.term, units=held.units, failures=held.failures)
         self._states.clear()
         self._stopping.clear()
         self._marked.clear()
@@ -403,7 +422,8 @@ class Agent:
             self._backend.discard(start.spare or "")
             self._say(orders.report_of(events.UnitDied(unit, fault)))
             return
-        self._held.units[unit] = orders.HeldUnit(start.label, msgspec.structs.replace(start.order, state=None))
+        order = msgspec.structs.replace(start.order, state=None)
+        self._held.units[unit] = orders.HeldUnit(start.label, order, since_s=time.monotonic())
         self._keep_state(unit, start.order.state)
         self._backend.start_unit(start.order, start.spare)
 

@@ -17,8 +17,7 @@ from cfgplan.errors import InputError
 from cfgplan_runtime.children.messages import Flow, GivenInput, ImportUnused
 from cfgplan_runtime.children.unit_order import unit_order
 from cfgplan_runtime.fleet import orders, presence
-from cfgplan_runtime.fleet.adoption import adopt
-from cfgplan_runtime.fleet.agent import digest_of, source_file
+from cfgplan_runtime.fleet.adoption import adopt, code_digest, failures_kept, start_digest
 from cfgplan_runtime.fleet.certificates import Validity
 from cfgplan_runtime.fleet.routes import Counts, OrderTo, Routes
 from cfgplan_runtime.fleet.tunnels import RemoteTopics, TunnelClient, TunnelServer
@@ -26,7 +25,7 @@ from cfgplan_runtime.streams.element import Moment
 from cfgplan_runtime.streams.run_folder import RunFolder
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 from cfgplan_runtime.supervision import events
-from cfgplan_runtime.supervision.backend import Found, Inlet, Usage
+from cfgplan_runtime.supervision.backend import Failures, Found, Inlet, Usage
 
 WAIT_S = 3.0
 """Seconds that a run waits for its hosts when it begins."""
@@ -80,6 +79,8 @@ class FleetBackend:
         """For each topic the host that was asked for, and the host where it is."""
         self._unplaced: set[str] = set()
         """Topics without a required host, while no host has joined."""
+        self._failures: dict[str, dict[str, orders.HeldFailures | None]] = {}
+        """By host and label: the last orders to keep failures."""
         self._routes = Routes(run_folder.id)
         self._counts = Counts()
         self._library = library
@@ -150,6 +151,16 @@ class FleetBackend:
             self._told.pop(host, None)
             self._give(self._routes.forget_host(host))
 
+    def remember(self, label: str, host: str | None, failures: Failures | None) -> None:
+        if host is None:
+            return
+        kept = None
+        if failures is not None:
+            digest = start_digest(failures.transformation, self._folder)
+            kept = orders.HeldFailures(failures.number, failures.left_s, failures.cause, digest)
+        self._failures.setdefault(host, {})[label] = kept
+        self._presence.say(host, orders.KeepFailuresOrder(label, kept))
+
     def start(
         self, unit: str, transformation: Transformation, state: bytes | None, host: str | None, spare: str | None = None
     ) -> None:
@@ -163,7 +174,9 @@ class FleetBackend:
         self._units[unit] = there
         self._note_place(unit, host)
         order = unit_order(unit, transformation, state)
-        self._presence.say(there, orders.StartOrder(transformation.label, order, self._digest(transformation), spare))
+        self._presence.say(
+            there, orders.StartOrder(transformation.label, order, code_digest(transformation, self._folder), spare)
+        )
 
     def prepare(self, spare: str, transformation: Transformation, host: str | None) -> None:
         there = self._place(host)
@@ -172,7 +185,9 @@ class FleetBackend:
         self._spares[spare] = there
         self._note_place(spare, host)
         order = unit_order(spare, transformation, None)
-        self._presence.say(there, orders.PrepareOrder(transformation.label, order, self._digest(transformation)))
+        self._presence.say(
+            there, orders.PrepareOrder(transformation.label, order, code_digest(transformation, self._folder))
+        )
 
     def discard(self, spare: str) -> None:
         self._presence.say(self._spares.pop(spare, None), orders.DiscardOrder(spare))
@@ -254,6 +269,7 @@ class FleetBackend:
             case presence.AgentJoined(host, day_ahead_ns):
                 self._awaited.discard(host.name)
                 self._events.append(events.HostJoined(host.name, day_ahead_ns // 1000))
+                self._settle_failures(host)
                 if self._unplaced:
                     unplaced, self._unplaced = self._unplaced, set()
                     for topic in unplaced:
@@ -341,9 +357,20 @@ class FleetBackend:
         for host, order in given:
             self._presence.say(host, order)
 
-    def _digest(self, transformation: Transformation) -> str | None:
-        file = source_file(transformation.source or "", self._folder)
-        return None if file is None else digest_of(file)
+    def _settle_failures(self, host: presence.HostState) -> None:
+        """Report the failures that a joined host has kept for this manager; a host that is back gets the present ones.
+
+        Failures of transformations that would be started in another way now are forgotten.
+        """
+        known, kept = (
+            self._failures.get(host.name, {}),
+            failures_kept(host.name, host.held, self._library, self._folder),
+        )
+        self._events += [one for one in kept if one.transformation not in known]
+        for label in host.held.failures.keys() - {one.transformation for one in kept}:
+            self._presence.say(host.name, orders.KeepFailuresOrder(label, None))
+        for label, failures in known.items():
+            self._presence.say(host.name, orders.KeepFailuresOrder(label, failures))
 
     def _note_place(self, unit: str, host: str | None) -> None:
         (self._anywhere.add if host is None else self._anywhere.discard)(unit)

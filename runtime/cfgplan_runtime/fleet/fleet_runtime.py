@@ -10,7 +10,7 @@ from pathlib import Path
 from cfgplan.domain import Environment
 from cfgplan.errors import InputError
 from cfgplan_runtime.errors import RuntimeFaultError
-from cfgplan_runtime.fleet.adoption import adopt
+from cfgplan_runtime.fleet.adoption import adopt, failures_kept
 from cfgplan_runtime.fleet.fleet_backend import WAIT_S, FleetBackend
 from cfgplan_runtime.fleet.links import config
 from cfgplan_runtime.fleet.local import LocalAgents
@@ -19,6 +19,7 @@ from cfgplan_runtime.processes.cpu_group import CpuGroup, cpu_groups
 from cfgplan_runtime.runtime import Runtime
 from cfgplan_runtime.streams.run_folder import RunFolder
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
+from cfgplan_runtime.supervision.events import FailuresKept
 
 LOCAL_WAIT_S = 30.0
 """Seconds that agents on this computer may take to start, even if it is busy."""
@@ -39,15 +40,20 @@ class Fleet:
 @dataclass(frozen=True)
 class LeftUnits:
     """The units that an earlier run has left on a fleet's hosts: those that a new run adopts, as `running`, and the ids
-    of those that it ends, since the file would not start them as they were started.
+    of those that it ends, since the file would not start them as they were started. `failures` are those that the hosts
+    have kept for the next run.
     """
 
     running: Environment = field(default_factory=Environment)
     ended: tuple[str, ...] = ()
+    failures: tuple[FailuresKept, ...] = ()
 
 
-def left_units(fleet: Fleet, environment: Environment) -> LeftUnits:
-    """Look at what runs on the hosts of an environment, and change nothing. Hosts that do not answer have nothing."""
+def left_units(fleet: Fleet, environment: Environment, folder: Path) -> LeftUnits:
+    """Look at what runs on the hosts of an environment, and change nothing. Hosts that do not answer have nothing.
+
+    Sources such as `units.py:Class` are relative to `folder`.
+    """
     if fleet.is_local:
         return LeftUnits()
     try:
@@ -58,7 +64,9 @@ def left_units(fleet: Fleet, environment: Environment) -> LeftUnits:
     adoption = adopt("", held, environment.transformation)
     found = adoption.found
     running = Environment() if found is None else Environment(found.units, found.library, hosts=found.hosts)
-    return LeftUnits(running, tuple(adoption.ended))
+    library = environment.transformation
+    failures = [one for host, here in held.items() for one in failures_kept(host, here, library, folder)]
+    return LeftUnits(running, tuple(adoption.ended), tuple(failures))
 
 
 @contextmanager

@@ -18,6 +18,7 @@ import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
+from math import inf
 from typing import Any
 
 from cfgplan_runtime.fleet.links import LEASE_S, sign_period_s
@@ -31,6 +32,8 @@ _HASTE = 5
 """The number of questions per period while an agent is silent."""
 _PATIENT_PERIODS = 2
 """An agent is silent if no answer has come for so many periods. A lossless link answers once a period."""
+_ROUND_TRIPS, _LEAST_PATIENCE_S = 4, 0.02
+"""An agent that is asked because its links have ended answers within so many round trips, or within 20 ms."""
 _SECRET_BYTES, _MOST_BYTES = 16, 256
 
 
@@ -148,16 +151,18 @@ class _Asked:
     answered_s: float
     due_s: float
     chosen: tuple[str, int] | None = None
+    round_trip_s: float | None = None
+    """From the last question that was answered to its answer."""
     open: dict[int, float] = field(default_factory=dict)
     """The questions without an answer, with their times."""
 
 
 class Asking:
-    """The manager's end: a thread that asks agents until `close`. `heard` is called with an agent's name and the time
-    of its answer.
+    """The manager's end: a thread that asks agents until `close`. `heard` is called with an agent's name, the time of a
+    question and that of its answer.
     """
 
-    def __init__(self, heard: Callable[[str, float], None]) -> None:
+    def __init__(self, heard: Callable[[str, float, float], None]) -> None:
         self._heard = heard
         self._lock = threading.Lock()
         self._agents: dict[str, _Asked] = {}
@@ -179,6 +184,19 @@ class Asking:
             if addresses:
                 self._agents[name] = _Asked(name, secret, addresses, now_s, now_s)
         self._waker.wake()
+
+    def ask_at_once(self, name: str) -> float:
+        """Ask an agent now, and often until it answers. Thread-safe.
+
+        Returns the seconds within which an answer has to come; 0 if it has never answered.
+        """
+        with self._lock:
+            one = self._agents.get(name)
+            if one is None or one.round_trip_s is None:
+                return 0.0
+            one.answered_s, one.due_s = -inf, time.monotonic()
+        self._waker.wake()
+        return max(_LEAST_PATIENCE_S, _ROUND_TRIPS * one.round_trip_s)
 
     def forget(self, name: str) -> None:
         """Ask an agent no more. Thread-safe."""
@@ -235,7 +253,7 @@ class Asking:
             one = next((one for one in self._agents.values() if known[0] in one.open), None)
             if one is None or not hmac.compare_digest(datagram, _signed(one.secret, known[0], _ANSWER)):
                 return
-            del one.open[known[0]]
-            one.answered_s = now_s
+            asked_s = one.open.pop(known[0])
+            one.answered_s, one.round_trip_s = now_s, now_s - asked_s
             one.chosen = next((own for own in one.addresses if own == address[:2]), one.chosen)
-        self._heard(one.name, now_s)
+        self._heard(one.name, asked_s, now_s)

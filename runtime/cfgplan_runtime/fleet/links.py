@@ -112,16 +112,35 @@ class Pulse:
     """The time since which no sign was late."""
     beat_s: float = -inf
     """The arrival of the last heartbeat."""
+    ended_s: float = -inf
+    """The time at which its links ended last."""
+    gone_s: float = inf
+    """Since its links have ended, it is lost at this time, unless it gives a sign of life or answers before."""
 
     def note(self, now_s: float) -> None:
         """Note a sign of life."""
+        self.gone_s = inf
         if now_s - self.last_s > _LATE_SIGNS * sign_period_s():
             self.steady_s = now_s
         self.last_s = max(self.last_s, now_s)
 
+    def note_beat(self, asked_s: float, now_s: float) -> None:
+        """Note a heartbeat: the answer to a question of the time `asked_s`."""
+        self.beat_s = now_s
+        if asked_s >= self.ended_s:
+            self.gone_s = inf
+
+    def note_end(self, now_s: float, patience_s: float) -> None:
+        """Note that its links have ended: a living agent answers within `patience_s` seconds."""
+        self.ended_s, self.gone_s = now_s, now_s + patience_s
+
+    def is_gone(self, now_s: float) -> bool:
+        """Whether its links have ended, and it has neither answered nor given a sign of life in time."""
+        return now_s >= self.gone_s
+
     def is_steady(self, now_s: float) -> bool:
-        """Whether no sign is late now, or was within half a lease. If a steady host's links end, its agent
-        has ended.
+        """Whether no sign is late now, or was within half a lease. If a steady host's links end, its agent has ended,
+        or has given the link up because it hears nothing: a link that loses packets may be silent in one direction.
         """
         return now_s - self.last_s <= _LATE_SIGNS * sign_period_s() and now_s - self.steady_s >= LEASE_S / _LINK_LEASES
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Generic, NamedTuple, TypeAlias, TypeVar
+from typing import Generic, Literal, NamedTuple, TypeAlias, TypeVar
 
 import msgspec
 
@@ -166,6 +166,26 @@ class RenewOrder(msgspec.Struct, tag=True):
     helper: str
 
 
+class HeldFailures(msgspec.Struct):
+    """The failures in a row of a transformation on a host: it must not be started again for `left_s` seconds.
+
+    `digest` is that of its start order and its code. The agent adds `at_s`, the time of the message on its clock.
+    """
+
+    number: int
+    left_s: float
+    cause: str
+    digest: str
+    at_s: float = 0.0
+
+
+class KeepFailuresOrder(msgspec.Struct, tag=True):
+    """Keep the failures of the transformation `label` for the next manager; None: forget them."""
+
+    label: str
+    failures: HeldFailures | None
+
+
 class LeaveOrder(msgspec.Struct, tag=True):
     """The run is over: end all units."""
 
@@ -189,6 +209,7 @@ Order: TypeAlias = (
     | OpenTopicOrder
     | CloseTopicOrder
     | RenewOrder
+    | KeepFailuresOrder
     | LeaveOrder
     | ToRelay
 )
@@ -208,13 +229,18 @@ class HeldStop(msgspec.Struct):
 
 class HeldUnit(msgspec.Struct):
     """A unit or spare: its transformation's label, its start order, its labor once it is ready, and the order to stop
-    it.
+    it. It was started at `since_s` on the host's clock.
+
+    `handover` is its part in the last hand-over of a state: a new unit waits for the state and then has it; the unit
+    before it is asked for the state.
     """
 
     label: str
     order: UnitOrder
     labor_us: int | None = None
     stop: HeldStop | None = None
+    since_s: float = 0.0
+    handover: Literal["", "waits", "has it", "is asked"] = ""
 
 
 class HeldWire(msgspec.Struct):
@@ -244,7 +270,9 @@ class HeldImport(msgspec.Struct):
 class Held(msgspec.Struct):
     """The units, wires and topics of an agent's host; `term` is that of the manager before the present one.
 
-    `topics` has the host that each topic's target asked for. `now_s` is the host's monotonic clock at Welcome.
+    `topics` has the host that each topic's target asked for. `now_s` is the present time of the host's monotonic clock.
+    `failures` has the failures on this host by the label of the transformation. No wire has had a higher number than
+    `last_wire`; an inlet may still have the one before its newest wire.
     """
 
     term: int = 0
@@ -256,6 +284,8 @@ class Held(msgspec.Struct):
     exports: dict[str, HeldExport] = {}
     imports: dict[str, HeldImport] = {}
     ahead_ns: int | None = None
+    failures: dict[str, HeldFailures] = {}
+    last_wire: int = 0
 
     def forget_wires(self, is_gone: Callable[[HeldWire], bool]) -> None:
         """Remove the wires that fulfil a condition."""

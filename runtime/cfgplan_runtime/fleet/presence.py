@@ -94,6 +94,7 @@ class _Beat:
     """A heartbeat of a host."""
 
     name: str
+    asked_s: float
     at_s: float
 
 
@@ -151,7 +152,7 @@ class Presence:
             link.hear(crossing_key(None, kind, MANAGER, "*"), lambda *came: self._inbox.put(came))
         link.watch(f"{alive_key(None)}/*", lambda *came: self._inbox.put(came))
         link.hear(f"{alive_key(None)}/*", lambda key, *_: self._inbox.put((key, time.monotonic())))
-        self._heartbeats = Asking(lambda name, at_s: self._inbox.put(_Beat(name, at_s)))
+        self._heartbeats = Asking(lambda *beat: self._inbox.put(_Beat(*beat)))
         link.answer(reach_key(MANAGER), lambda: b"{}")
         link.live(f"{alive_key(MANAGER)}/{run}")
         link.give_signs(f"{alive_key(MANAGER)}/{run}", sign_period_s())
@@ -272,7 +273,7 @@ class Presence:
 
     def _patience_s(self, end_s: float) -> float:
         """Seconds until something is due to be sent, at most until `end_s` and at most a sign's period."""
-        due_s = min((host.channel.due_s() for host in self._hosts.values()), default=inf)
+        due_s = min((min(host.channel.due_s(), host.pulse.gone_s) for host in self._hosts.values()), default=inf)
         return max(0.0, min(min(end_s, due_s) - time.monotonic(), sign_period_s()))
 
     def _hear_all(self) -> bool:
@@ -295,6 +296,8 @@ class Presence:
         for host in list(self._hosts.values()):
             if now_s - before_s >= MISSED_SIGNS * sign_period_s():
                 host.pulse.note(now_s)
+            elif host.pulse.is_gone(now_s):
+                self._lose(host, "its agent is gone")
             elif host.pulse.is_lost(now_s):
                 self._lose(host, f"nothing was heard of it for {host.pulse.silent_s(now_s):.1f} s")
 
@@ -302,8 +305,8 @@ class Presence:
         match arrival:
             case None:
                 return True
-            case _Beat(name, at_s) if name in self._hosts:
-                self._hosts[name].pulse.beat_s = at_s
+            case _Beat(name, asked_s, at_s) if name in self._hosts:
+                self._hosts[name].pulse.note_beat(asked_s, at_s)
             case _Measured(host, Reading() as reading) if self._hosts.get(host.name) is host:
                 self._note_clock(host, reading)
             case _Measured(host, None) if self._hosts.get(host.name) is host and not host.is_there:
@@ -331,7 +334,7 @@ class Presence:
         elif is_alive and host is not None and host.life == life:
             host.pulse.note(time.monotonic())
         elif not is_alive and host is not None and host.life == life and host.pulse.is_steady(time.monotonic()):
-            self._lose(host, "its agent is gone")
+            host.pulse.note_end(time.monotonic(), self._heartbeats.ask_at_once(host.name))
 
     def _note_sign(self, key: str, at_s: float) -> None:
         """Record a sign of life. Zenoh reports living keys too, but after a cut not all of them."""

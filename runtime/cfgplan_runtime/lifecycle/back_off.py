@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from cfgplan_runtime.lifecycle.reports import BackingOff
 from cfgplan_runtime.supervision.delays import doubling_s
+from cfgplan_runtime.supervision.events import FailuresKept
 
 
 class Place(NamedTuple):
@@ -41,7 +42,9 @@ class BackOffRules:
 
 
 @dataclass(frozen=True, slots=True)
-class _Record:
+class Record:
+    """The failures in a row at a place, where nothing is started before `until_s`; `cause` is that of the last one."""
+
     failures: int
     until_s: float
     cause: str
@@ -52,7 +55,7 @@ class BackOffs:
     """The failures of transformations by place, and the places where they must not be started now. Immutable."""
 
     rules: BackOffRules
-    records: Mapping[Place, _Record] = field(default_factory=dict)
+    records: Mapping[Place, Record] = field(default_factory=dict)
     avoided: frozenset[Place] = frozenset()
 
     def after_failure(
@@ -66,15 +69,22 @@ class BackOffs:
         is_new = before is None or lived_s >= self.rules.good_life_s
         failures = 1 if is_new or before is None else before.failures + 1
         delay_s = self.rules.delay_s(failures + is_costly)
-        return self._with(place, _Record(failures, now_s + delay_s, cause), waits=delay_s > 0)
+        return self._with(place, Record(failures, now_s + delay_s, cause), waits=delay_s > 0)
+
+    def restoring(self, kept: FailuresKept, now_s: float) -> BackOffs:
+        """Continue with the failures that an earlier manager has counted, unless some are known already."""
+        place = Place(kept.transformation, kept.host)
+        if place in self.records:
+            return self
+        return self._with(place, Record(kept.number, now_s + kept.left_s, kept.cause), waits=kept.left_s > 0)
 
     def refusing(self, label: str, cause: str) -> BackOffs:
         """Never start a transformation again, wherever, until it changes."""
-        return self._with(Place(label), _Record(1, inf, cause))
+        return self._with(Place(label), Record(1, inf, cause))
 
     def postponing(self, place: Place, until_s: float) -> BackOffs:
         """Do not start a transformation before `until_s`; this counts no failure."""
-        before = self.records.get(place, _Record(0, until_s, "its start would hold up another update"))
+        before = self.records.get(place, Record(0, until_s, "its start would hold up another update"))
         return self._with(place, replace(before, until_s=max(before.until_s, until_s)))
 
     def shortening(self, label: str, now_s: float) -> BackOffs:
@@ -120,15 +130,22 @@ class BackOffs:
         """When the next avoided transformation may be started again; inf if none is avoided."""
         return min((self.records[place].until_s for place in self.avoided), default=inf)
 
+    def changed_since(self, before: BackOffs) -> frozenset[Place]:
+        """The places whose failures differ from those before."""
+        if self.records is before.records:
+            return frozenset()
+        places = self.records.keys() | before.records.keys()
+        return frozenset(place for place in places if self.records.get(place) != before.records.get(place))
+
     def view(self, now_s: float) -> tuple[BackingOff, ...]:
         """The avoided transformations, sorted by label and host."""
         places = sorted(self.avoided, key=lambda place: (place.label, place.host or ""))
         return tuple(_view(place, self.records[place], now_s) for place in places)
 
-    def _with(self, place: Place, record: _Record, *, waits: bool = True) -> BackOffs:
+    def _with(self, place: Place, record: Record, *, waits: bool = True) -> BackOffs:
         records, avoided = {**self.records, place: record}, self.avoided | {place} if waits else self.avoided
         return replace(self, records=records, avoided=avoided)
 
 
-def _view(place: Place, record: _Record, now_s: float) -> BackingOff:
+def _view(place: Place, record: Record, now_s: float) -> BackingOff:
     return BackingOff(place.label, record.failures, max(0.0, record.until_s - now_s), record.cause, place.host)

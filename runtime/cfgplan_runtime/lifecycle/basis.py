@@ -46,11 +46,14 @@ class Preview:
     basis: Basis
 
     def holds_for(self, plan_input: PlanInput) -> bool:
-        """Whether a review of this input would plan the same: basis, facts and avoided transformations are equal."""
+        """Whether a review of this input would plan the same: basis, facts and avoided transformations are equal, and
+        no transformation backs off on some hosts, which a plan that was shown before the run does not know.
+        """
         return (
             not staleness(self.basis, basis_of(plan_input.world, plan_input.running))
             and plan_input.world.environment.facts == self.findings.planned.facts
             and avoided_now(plan_input) == self.findings.avoided
+            and not plan_input.situation.back_offs.avoided
             and self.findings.change_set is not None
         )
 

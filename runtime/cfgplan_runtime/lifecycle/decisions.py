@@ -6,6 +6,7 @@ interrupts, applies the update, and is recorded.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from enum import Flag, auto
 from math import inf
@@ -57,6 +58,7 @@ from cfgplan_runtime.lifecycle.transitions import (
     Observe,
     Planned,
     Prepare,
+    Remember,
     Respond,
     Seen,
     StopAll,
@@ -68,6 +70,7 @@ from cfgplan_runtime.lifecycle.transitions import (
 )
 from cfgplan_runtime.lifecycle.views import silence_reason
 from cfgplan_runtime.lifecycle.worlds import WorldVersion
+from cfgplan_runtime.supervision.backend import Failures
 from cfgplan_runtime.supervision.delays import doubling_s
 from cfgplan_runtime.supervision.events import Event
 
@@ -116,7 +119,19 @@ def decide(state: State, happened: TimedInput) -> tuple[State, tuple[Effect, ...
     if state.running is not happened.running:
         state = replace(state, running=happened.running)
     transition = _case(Transition(state, happened.at_s), happened.what)
-    return transition.state, transition.effects
+    return transition.state, (*_to_remember(state, transition), *transition.effects)
+
+
+def _to_remember(before: State, transition: Transition) -> Iterator[Effect]:
+    """Yield the failures that have changed, without refusals, which every manager finds again."""
+    back_offs, library = transition.state.situation.back_offs, transition.state.version.world.environment.transformation
+    for place in sorted(back_offs.changed_since(before.situation.back_offs), key=str):
+        record = back_offs.records.get(place)
+        if record is None or place.label not in library:
+            yield Remember(place, None)
+        elif record.until_s < inf:
+            left_s = max(0.0, record.until_s - transition.at_s)
+            yield Remember(place, Failures(library[place.label], place.host, record.failures, left_s, record.cause))
 
 
 def _case(transition: Transition, what: Input) -> Transition:

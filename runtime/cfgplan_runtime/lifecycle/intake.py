@@ -43,7 +43,7 @@ from cfgplan_runtime.lifecycle.reports import WorldRefused
 from cfgplan_runtime.lifecycle.seen_qualities import losing_streams
 from cfgplan_runtime.lifecycle.state import Note, State, Updating
 from cfgplan_runtime.lifecycle.stream_qualities import qualities_restated
-from cfgplan_runtime.lifecycle.transitions import Match, Matched, Respond, Tell, Terminate, Transition
+from cfgplan_runtime.lifecycle.transitions import LearnOfFailure, Match, Matched, Respond, Tell, Terminate, Transition
 from cfgplan_runtime.supervision import events
 from cfgplan_runtime.supervision.delays import doubling_s
 
@@ -69,6 +69,10 @@ def heard(transition: Transition, event: events.Event) -> Transition:
             return transition.situated(replace(state.situation, prepared=state.situation.prepared | {spare}))
         case events.SpareLost(spare) | events.SpareUsed(_, spare):
             return transition.situated(replace(state.situation, prepared=state.situation.prepared - {spare}))
+        case events.UnitFound(unit, age_s):
+            return _found(transition, unit, age_s)
+        case events.FailuresKept():
+            return _restored(transition, event)
         case events.HostLost(host, cause):
             return _host_lost(transition, host, cause)
         case events.HostJoined(host, ahead_us):
@@ -211,6 +215,23 @@ def _unnoted(transition: Transition, unit: str) -> Transition:
     """Forget the notes about a unit that has ended, or whose id another unit has now."""
     left = {other: note for other, note in transition.state.notes.items() if other != unit}
     return transition.to(replace(transition.state, notes=left, seen=transition.state.seen.without(unit)))
+
+
+def _found(transition: Transition, unit: str, age_s: float) -> Transition:
+    """Record a unit that an earlier manager has left, with its age: a short life makes failures count in a row."""
+    running, situation = transition.state.running, transition.state.situation
+    found = [one for one in running.units if one.id == unit]
+    return transition.situated(situation.with_started(found, running, transition.at_s - age_s))
+
+
+def _restored(transition: Transition, kept: events.FailuresKept) -> Transition:
+    """Continue with the failures on a host that an earlier manager has counted."""
+    situation = transition.state.situation
+    back_offs = situation.back_offs.restoring(kept, transition.at_s)
+    if back_offs is situation.back_offs:
+        return transition
+    transition = transition.also(*[LearnOfFailure(Place(kept.transformation, kept.host))] * kept.number)
+    return transition.situated(replace(situation, back_offs=back_offs)).telling_back_off(kept.transformation)
 
 
 def _gone(transition: Transition, unit: str, cause: str) -> Transition:

@@ -280,6 +280,11 @@ _EVENTS = (
         says=lambda it: f"{it.host} is back; {it.elements} of its elements for other hosts were lost on the way",
         level=Level.WARNING,
     ),
+    Kind(
+        events.UnitFound,
+        says=lambda it: f"{it.unit} was left running by an earlier run, which started it {span(it.age_s)} ago",
+    ),
+    Kind(events.FailuresKept),  # the back-off tells of it
     Kind(events.Applied),
     Kind(events.RolledBack, level=Level.WARNING),  # the review tells of it
 )

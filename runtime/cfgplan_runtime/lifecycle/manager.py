@@ -49,7 +49,7 @@ from cfgplan_runtime.lifecycle.kinds import Urgency, kind_of
 from cfgplan_runtime.lifecycle.perturbations import Started
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Report, Snapshot, TargetView, UnitEvent
-from cfgplan_runtime.lifecycle.seams import DeclaredCosts, Estimator, Middleware, SystemClock, TimeSource
+from cfgplan_runtime.lifecycle.seams import DeclaredCosts, Estimator, Middleware, Outlived, SystemClock, TimeSource
 from cfgplan_runtime.lifecycle.state import State
 from cfgplan_runtime.lifecycle.stream_qualities import quality_views
 from cfgplan_runtime.lifecycle.supposing import Supposing
@@ -322,6 +322,9 @@ class Manager:
                 self._decide(transitions.Seen(found))
             case transitions.LearnOfFailure(place):
                 self._estimator.failed(place.label, self._clock.now(), place.host)
+            case transitions.Remember(place, failures):
+                if isinstance(self._middleware, Outlived):
+                    self._middleware.remember(place.label, place.host, failures)
             case transitions.MakePlan():
                 self._plan(effect)
             case transitions.MakePreview():

@@ -5,10 +5,11 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from cfgplan import costs
 from cfgplan.domain import ChangeSet, Environment, Host, Transformation
+from cfgplan_runtime.supervision.backend import Failures
 from cfgplan_runtime.supervision.events import Applied, Event
 from cfgplan_runtime.supervision.observation import Observation
 
@@ -55,6 +56,16 @@ class Middleware(Protocol):
 
     def stop(self) -> None:
         """Stop every unit once it has given the results of its input."""
+
+
+@runtime_checkable
+class Outlived(Protocol):
+    """A middleware whose units may outlive a manager, which the next one then continues with."""
+
+    def remember(self, label: str, host: str | None, failures: Failures | None) -> None:
+        """Keep the failures of a transformation on a host for the next manager, which gets them as FailuresKept; None:
+        forget them. Called from the manager's thread.
+        """
 
 
 class Estimator(Protocol):

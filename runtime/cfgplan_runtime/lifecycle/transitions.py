@@ -21,6 +21,7 @@ from cfgplan_runtime.lifecycle.perturbations import Perturbation, Started
 from cfgplan_runtime.lifecycle.reports import BackedOff, Perturbed, Report, Review
 from cfgplan_runtime.lifecycle.state import Entry, State
 from cfgplan_runtime.lifecycle.worlds import WorldVersion
+from cfgplan_runtime.supervision.backend import Failures
 from cfgplan_runtime.supervision.observation import Observation
 
 # Inputs, besides the items of the inbox.
@@ -133,6 +134,13 @@ class LearnOfFailure(Effect, frozen=True):
     """Let the estimator learn that a unit of a transformation has failed, on a host."""
 
     place: Place
+
+
+class Remember(Effect, frozen=True):
+    """Let the middleware keep the failures at a place for the next manager; None: forget them."""
+
+    place: Place
+    failures: Failures | None
 
 
 class MakePlan(Effect, frozen=True):

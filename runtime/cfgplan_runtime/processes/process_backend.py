@@ -32,7 +32,7 @@ from cfgplan_runtime.streams.element import Moment
 from cfgplan_runtime.streams.ends import Ends, Waker
 from cfgplan_runtime.streams.run_folder import RunFolder
 from cfgplan_runtime.supervision import events
-from cfgplan_runtime.supervision.backend import Inlet, Usage
+from cfgplan_runtime.supervision.backend import Failures, Inlet, Usage
 from cfgplan_runtime.supervision.delays import doubling_s
 
 OUTLETS, RELAY = "", "/relay"
@@ -151,6 +151,9 @@ class ProcessBackend:
 
     def leave_hosts(self, hosts: Collection[str]) -> None:
         """Do nothing: the only host is this computer."""
+
+    def remember(self, label: str, host: str | None, failures: Failures | None) -> None:
+        """Do nothing: all units end with this process."""
 
     def start(
         self,

@@ -43,7 +43,7 @@ from cfgplan_runtime.streams.element import Moment
 from cfgplan_runtime.streams.ends import Ends, Waker
 from cfgplan_runtime.streams.run_folder import RunFolder
 from cfgplan_runtime.supervision import events
-from cfgplan_runtime.supervision.backend import Inlet, Usage
+from cfgplan_runtime.supervision.backend import Failures, Inlet, Usage
 
 _ALIVE_S = 1.0
 """Seconds from one sign of life of a node to the next."""
@@ -144,6 +144,9 @@ class Ros2Backend:
 
     def leave_hosts(self, hosts: Collection[str]) -> None:
         """Do nothing: the only host is this computer."""
+
+    def remember(self, label: str, host: str | None, failures: Failures | None) -> None:
+        """Do nothing: all units end with this process."""
 
     def start(
         self,

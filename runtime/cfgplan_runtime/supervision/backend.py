@@ -89,7 +89,8 @@ class Found:
 
     `labor_us` has the units that are ready, and the cold spares that are prepared; `topics` the host of each topic's
     target. `stopping` has by id the units that were told to stop and have not ended; apart from it, only wires name
-    them. `states` has the last state of each state's name.
+    them. `states` has the last state of each state's name, and `ages_s` the seconds since each unit was started.
+    No wire has had a higher number than `last_wire`.
     """
 
     units: tuple[ComputationUnit, ...]
@@ -100,6 +101,22 @@ class Found:
     topics: Mapping[str, str | None]
     stopping: Mapping[str, StoppingUnit] = field(default_factory=dict)
     states: Mapping[str, bytes] = field(default_factory=dict)
+    ages_s: Mapping[str, float] = field(default_factory=dict)
+    last_wire: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Failures:
+    """The `number` of failures in a row of a transformation on a host, of which the last had this `cause`.
+
+    It must not be started there for `left_s` seconds.
+    """
+
+    transformation: Transformation
+    host: str | None
+    number: int
+    left_s: float
+    cause: str
 
 
 class Backend(Protocol):
@@ -130,6 +147,11 @@ class Backend(Protocol):
 
     def leave_hosts(self, hosts: Collection[str]) -> None:
         """Free these hosts for other runs. Their units are ended."""
+
+    def remember(self, label: str, host: str | None, failures: Failures | None) -> None:
+        """Keep the failures of a transformation on a host for the next manager, if units outlive this one; None: forget
+        them. The next manager gets FailuresKept.
+        """
 
     def start(
         self, unit: str, transformation: Transformation, state: bytes | None, host: str | None, spare: str | None = None
@@ -163,7 +185,7 @@ class Backend(Protocol):
         """
 
     def hold(self, unit: str) -> None:
-        """Let a started unit keep the elements that it gets, and make no step before `give_state`, for some seconds."""
+        """Let a started unit keep the elements that it gets, and make no step before `give_state`."""
 
     def ask_places(self, unit: str, begun: Collection[str]) -> None:
         """Ask a unit from which moment on it gets every element: PlacesTold follows once all its inlets know.

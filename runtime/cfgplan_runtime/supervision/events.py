@@ -252,6 +252,26 @@ class ElementsLost(Event, frozen=True):
     elements: int
 
 
+class UnitFound(Event, frozen=True):
+    """An earlier manager has left this unit running; it was started `age_s` seconds ago."""
+
+    unit: str
+    age_s: float
+
+
+class FailuresKept(Event, frozen=True):
+    """A host tells the next manager that a transformation has failed there so many times in a row (`number`).
+
+    The transformation must not be started there for `left_s` seconds; `cause` is that of the last failure.
+    """
+
+    transformation: str
+    host: str
+    number: int
+    left_s: float
+    cause: str
+
+
 class Applied(Event, frozen=True):
     """The change set `id` was carried out.
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from cfgplan.domain import InputPort, Stream, Transformation
 from cfgplan_runtime.children.messages import Flow, GivenInput, PortCounts, Qualities
 from cfgplan_runtime.streams.element import Moment
-from cfgplan_runtime.supervision.backend import Inlet, Usage
+from cfgplan_runtime.supervision.backend import Failures, Inlet, Usage
 from cfgplan_runtime.supervision.events import (
     Event,
     HostJoined,
@@ -188,6 +188,9 @@ class SimulatedBackend:
 
     def leave_hosts(self, hosts: Collection[str]) -> None:
         """Do nothing: the only host is this computer."""
+
+    def remember(self, label: str, host: str | None, failures: Failures | None) -> None:
+        """Do nothing: all units end with this process."""
 
     def start(
         self, unit: str, transformation: Transformation, state: bytes | None, host: str | None, spare: str | None = None

@@ -33,7 +33,7 @@ _LONGEST_ROUND_S = 1.0
 """After a longer round, this process was suspended, and has noticed nothing meanwhile."""
 _DRY_S = 2.5
 _MOST_REMEMBERED = 1000
-"""The number of change sets that are remembered by their ids."""
+"""The number of change sets that are remembered by the ids that their callers gave."""
 
 
 class Supervisor:
@@ -69,6 +69,8 @@ class Supervisor:
         self._library: dict[str, Transformation] = {}
         self._stopping: dict[str, _Stopping] = {}
         """Units that were told to stop before this supervisor began."""
+        self.kept: list[events.UnitFound | events.FailuresKept] = []
+        """The reports about the time before this supervisor began."""
         self._patience: dict[str, tuple[float, float]] = {}
         """By helper process of the backend: when it gave its last sign of life, and how long it may be silent."""
         self._round_s = backend.now()
@@ -127,9 +129,11 @@ class Supervisor:
         self.backend.leave_hosts([host for host in change_set.removed_hosts if host not in carried.environment.host])
         self.environment = carried.environment
         self.spares.keep(self.environment, self.now())
-        applied = self._applied[name] = events.Applied(name, dict(carried.seconds), carried.unswitched)
-        if len(self._applied) > _MOST_REMEMBERED:
-            del self._applied[next(iter(self._applied))]
+        applied = events.Applied(name, dict(carried.seconds), carried.unswitched)
+        if id is not None:
+            self._applied[id] = applied
+            if len(self._applied) > _MOST_REMEMBERED:
+                del self._applied[next(iter(self._applied))]
         self._report(applied)
         return applied
 
@@ -210,9 +214,10 @@ class Supervisor:
         """Continue with the units of an earlier supervisor. Their silence so far makes no unit late."""
         self.environment = replace(self.environment, units=found.units, library=found.library, hosts=found.hosts)
         self.topics.update(found.topics)
-        self.wiring.adopt(found.wires, found.stopping)
+        self.wiring.adopt(found.wires, found.stopping, found.last_wire)
         self.spares.adopt(self.environment, found.labor_us, self.now())
         self._states.update(found.states)
+        self.kept += [events.UnitFound(unit, age_s) for unit, age_s in found.ages_s.items()]
         for unit_id, stopping in found.stopping.items():
             limit_s = self._update_patience.stop_s if stopping.stop_s is None else stopping.stop_s
             told_s = self.now() - stopping.told_s
@@ -398,6 +403,8 @@ class Supervisor:
             case events.OutletsOpened():
                 self._restore_outlets()
                 self.taps.note_new_outlets()
+            case events.FailuresKept():
+                self.kept.append(event)
             case events.HostLost(host, cause):
                 self.hosts[host] = event
                 self._lose(host, cause)

@@ -319,6 +319,10 @@ class _Update:
     patience: Patience
     opened: list[str] = field(default_factory=list)
     rewired: dict[Inlet, Stream | None] = field(default_factory=dict)
+    fresh: set[str] = field(default_factory=set)
+    """The units that the update connects for the first time: new ones, and those that an undone update has kept."""
+    held: set[str] = field(default_factory=set)
+    """The units that were told to wait for a state."""
 
     @property
     def started(self) -> list[str]:
@@ -351,8 +355,12 @@ class _Update:
             raise _StepFailedError(f"{_were(slow)} not ready within {self.patience.start_s:g} s", slow)
 
     def rewire(self) -> Commands:
-        actual, wanted, heirs = self.actual, self.wanted, self.heirs()
+        actual, wanted = self.actual, self.wanted
+        connected = {wire.stream.unit for wire in actual.feeds.values()} | {inlet.unit for inlet in actual.feeds}
+        self.fresh.update(self.wired() - connected, self.started)
+        heirs = self.heirs()
         for unit in heirs:
+            self.held.add(unit)
             yield HoldUnit(unit)
         for inlet, stream in wanted.items():
             if not self.lives(inlet):
@@ -379,7 +387,7 @@ class _Update:
                 yield Disconnect(inlet)
 
     def heirs(self) -> dict[str, str]:
-        """The new units that go on with the state of a unit that ends, those upstream first, each with that unit."""
+        """The fresh units that go on with the state of a unit that ends, those upstream first, each with that unit."""
         actual, ending = self.actual, self.actual.alive & set(self.change_set.stopped)
         old = {
             name: unit.id
@@ -388,8 +396,8 @@ class _Update:
         }
         heirs = {
             unit.id: old[name]
-            for unit in self.change_set.started
-            if not unit.standby and (name := _state_name(self.after, unit)) in old and name is not None
+            for unit in self.after.units
+            if unit.id in self.fresh and (name := _state_name(self.after, unit)) in old and name is not None
         }
         feeding = grouped((inlet.unit, stream.unit) for inlet, stream in self.wanted.items())
         upstream = {unit: heirs.keys() & reached([unit], lambda one: feeding.get(one, ())) for unit in heirs}
@@ -443,7 +451,7 @@ class _Update:
         return tuple(
             inlet.port
             for inlet, stream in self.wanted.items()
-            if inlet.unit == heir and (is_elsewhere or stream.unit in self.started)
+            if inlet.unit == heir and (is_elsewhere or stream.unit in self.fresh)
         )
 
     def stop(self) -> Commands:
@@ -476,6 +484,8 @@ class _Update:
             yield SwitchNow(inlet)
         for inlet in [inlet for inlet in actual.feeds if inlet.unit in kept]:
             yield Disconnect(inlet)
+        for unit in sorted(kept & self.held):
+            yield GiveState(unit)
         yield from self.stop_units(sorted({*self.started, *failed} - kept))
         for unit in failed:
             yield SetEnvironment(actual.environment.without_unit(unit))

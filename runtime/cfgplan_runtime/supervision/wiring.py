@@ -37,8 +37,11 @@ class Wiring:
         self._wires: dict[int, Wire] = {}
         self.feeds: dict[Inlet, Wire] = {}
 
-    def adopt(self, wires: Iterable[FoundWire], stopping: Collection[str]) -> None:
-        """Take over existing wires; new ones get higher numbers. Wires of stopping units are not reported."""
+    def adopt(self, wires: Iterable[FoundWire], stopping: Collection[str], last_wire: int) -> None:
+        """Take over existing wires; new ones get numbers above theirs and `last_wire`. Wires of stopping units are not
+        reported.
+        """
+        self._last_id = last_wire
         for found in wires:
             self._last_id = max(self._last_id, found.id)
             if found.stream.unit not in stopping and found.inlet.unit not in stopping:

@@ -1,0 +1,225 @@
+"""A manager that takes over continues with the failures, back-offs and hand-overs of states of the one before it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cfgplan_runtime.errors import RuntimeFaultError
+from cfgplan_runtime.fleet.fleet_backend import FleetBackend
+from cfgplan_runtime.fleet.fleet_runtime import Fleet, LeftUnits, left_units
+from cfgplan_runtime.lifecycle.basis import Preview
+from cfgplan_runtime.lifecycle.manager import Manager
+from cfgplan_runtime.lifecycle.policy import Policy
+from cfgplan_runtime.operating.operation import Settings
+from cfgplan_runtime.streams.run_folder import base_folder, remove_dead_runs
+from cfgplan_runtime.supervision.backend import Failures
+from cfgplan_runtime.supervision.events import Event, FailuresKept, HostJoined
+from failing_run import FIRST_S, HOSTS, world
+from small_fleet import (
+    FOLDER,
+    PATIENCE_S,
+    Listener,
+    SmallFleet,
+    eventually,
+    moved,
+    small_fleet,
+    source,
+    swap,
+    unit,
+    worker,
+)
+
+from cfgplan import api
+from cfgplan.api import matches
+from cfgplan.cli.first_plan import first_review
+from cfgplan.domain import ChangeSet, RunOptions
+
+WORK = worker("work", "same")
+FAILED = Failures(WORK, "r1", 3, 200.0, "no camera")
+
+
+@contextmanager
+def killed_run(fleet: SmallFleet, note: Path) -> Iterator[None]:
+    """A run whose worker has failed on r1 and runs on r2; its manager is killed, then the worker."""
+    command = [sys.executable, str(FOLDER / "failing_run.py"), str(note), *fleet.endpoints]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        try:
+            assert process.stdout.readline() == b"met\n"
+        finally:
+            process.kill()
+    remove_dead_runs(base_folder())
+    (pid,) = fleet.pids("work")
+    os.kill(pid, signal.SIGKILL)
+    eventually(lambda: not fleet.pids("work"))
+    yield
+
+
+@pytest.mark.parametrize("is_changed", [False, True], ids=["as it was", "changed"])
+def test_what_failed_on_a_host_does_not_start_there_again_under_the_next_manager_unless_it_is_changed(
+    tmp_path: Path, is_changed: bool
+) -> None:
+    first, then = tmp_path / "first", tmp_path / "then"
+    with small_fleet(*HOSTS) as fleet:
+        with killed_run(fleet, first):
+            pass
+        known = world(then if is_changed else first)
+        left = left_units(Fleet(fleet.endpoints), known.environment, FOLDER)
+        assert [(one.transformation, one.host) for one in left.failures] == ([] if is_changed else [("work", "r1")])
+        assert hosts_of_work(preview(known, left)) == {"r1" if is_changed else "r2"}, "the plan that is shown"
+        policy, unaware = Policy(hosts_s=PATIENCE_S), preview(known, LeftUnits(left.running))
+        assert hosts_of_work(unaware) == {"r1"}
+        with (
+            fleet.runtime(*known.environment.library) as runtime,
+            Manager(known, runtime, policy=policy, first=unaware) as manager,
+        ):
+            eventually(lambda: all(target.is_met for target in manager.targets))
+            assert [one.host for one in runtime.environment.units if one.transformation == "work"] == ["r2"]
+            backing_off = manager.snapshot().backing_off
+    assert len(first.read_text().splitlines()) == 1
+    assert then.exists() is is_changed, "other params may start on r1"
+    if not is_changed:
+        (one,) = backing_off
+        assert (one.transformation, one.host, one.failures) == ("work", "r1", 1)
+        assert "no camera" in one.cause
+        assert 0 < one.left_s < FIRST_S, "the wait goes on"
+
+
+def preview(known: api.World, left: LeftUnits) -> Preview:
+    """The first plan of a run, as the command makes it."""
+    found = matches(known, most=api.FEW_PAIRS)
+    return first_review(known, Settings(estimates=None), found, left.running, failures=left.failures)
+
+
+def hosts_of_work(made: Preview) -> set[str | None]:
+    assert made.findings.change_set is not None
+    return {one.host for one in made.findings.change_set.started if one.transformation == "work"}
+
+
+def told(backend: FleetBackend, kind: type[Event]) -> list[Event]:
+    """The events of a kind that a backend has to tell now."""
+    found = list[Event]()
+
+    def has_joined() -> bool:
+        found.extend(backend.wait(0.1))
+        return any(isinstance(one, HostJoined) for one in found)
+
+    eventually(has_joined)
+    return [one for one in found if isinstance(one, kind)]
+
+
+def test_a_host_tells_each_later_manager_of_the_failures_there_until_they_are_forgotten() -> None:
+    with small_fleet("r1") as fleet, fleet.backend("r1", library=[WORK]) as first, ExitStack() as stack:
+        first.remember("work", "r1", FAILED)
+        first.remember("other", "r1", FAILED)
+        first.remember("other", "r1", None)
+        first.take_hosts(())  # which sends the orders
+        for _ in range(2):
+            later = stack.enter_context(fleet.backend("r1", library=[WORK], takes_over=True))
+            (kept,) = told(later, FailuresKept)
+            assert isinstance(kept, FailuresKept)
+            assert (kept.transformation, kept.host, kept.number, kept.cause) == ("work", "r1", 3, "no camera")
+            assert 0 < kept.left_s <= FAILED.left_s
+
+
+@pytest.mark.parametrize("is_code", [True, False], ids=["its code", "how it is started"])
+def test_failures_of_what_has_changed_are_forgotten(tmp_path: Path, is_code: bool) -> None:
+    code = (FOLDER / "fleet_units.py").read_text()
+    (tmp_path / "fleet_units.py").write_text(code + "# mended" * is_code)
+    changed = WORK if is_code else replace(WORK, params={"mended": True})
+    with small_fleet("r1") as fleet, fleet.backend("r1", library=[WORK]) as first, ExitStack() as stack:
+        first.remember("work", "r1", FAILED)
+        first.take_hosts(())
+        later = stack.enter_context(fleet.backend("r1", library=[changed], folder=tmp_path, takes_over=True))
+        assert told(later, FailuresKept) == []
+        last = stack.enter_context(fleet.backend("r1", library=[WORK], takes_over=True))
+        assert told(last, FailuresKept) == [], "they are forgotten for good"
+
+
+def test_a_host_that_joins_later_tells_of_the_failures_there_and_one_that_is_back_is_told_of_them() -> None:
+    with small_fleet("r1", "r2") as fleet, fleet.backend("r1", "r2", library=[WORK]) as first:
+        first.remember("work", "r2", FAILED)
+        first.take_hosts(())
+        with fleet.backend("r1", library=[WORK], takes_over=True) as later:
+            assert told(later, FailuresKept) == []
+            later.take_hosts(["r2"])
+            (kept,) = told(later, FailuresKept)
+            assert isinstance(kept, FailuresKept) and kept.host == "r2"
+
+
+def test_failures_end_with_their_run() -> None:
+    with small_fleet("r1") as fleet:
+        with fleet.backend("r1", library=[WORK]) as first:
+            first.remember("work", "r1", FAILED)
+            first.take_hosts(())
+        with fleet.backend("r1", library=[WORK]) as later:
+            assert told(later, FailuresKept) == []
+
+
+TALLY = worker("work", "Tally", run=RunOptions(state="altitude"))
+COUNT, FIRST = unit("count.1", "r1"), unit("work.1", "r2", topic="/result", x="count.1/n")
+SECOND = moved(FIRST, "work.2", "r1")
+LATE = 1300
+"""More elements than come in the time for which a new unit keeps all that it gets."""
+
+
+@contextmanager
+def stuck_handover(fleet: SmallFleet, *, is_given: bool) -> Iterator[Listener]:
+    """A manager that replaces work.1 on r2 by work.2 on r1, and does nothing more once that waits for the state of
+    work.1, or has got it. The topic of both is listened to.
+    """
+    stuck, may_end = threading.Event(), threading.Event()
+    with fleet.runtime(source(), TALLY) as runtime:
+        runtime.apply(ChangeSet(started=(COUNT, FIRST)))
+        listener = fleet.outside_listener("r1")
+        listener.await_more(20)
+        backend = runtime.supervisor.backend
+        give = backend.give_state
+
+        def give_state(*given: Any) -> None:
+            if is_given:
+                give(*given)
+                backend.wait(0.0)  # which sends it
+            stuck.set()
+            may_end.wait()
+
+        def swapped() -> None:
+            with suppress(RuntimeFaultError):
+                runtime.apply(swap(FIRST, SECOND))
+
+        backend.give_state = give_state  # type: ignore[method-assign]
+        updating = threading.Thread(target=swapped)
+        updating.start()
+        try:
+            assert stuck.wait(PATIENCE_S)
+            yield listener
+        finally:
+            runtime.supervisor.end()
+            may_end.set()
+            updating.join()
+
+
+@pytest.mark.parametrize("is_given", [False, True], ids=["undone", "finished"])
+@pytest.mark.parametrize("late", [0, LATE], ids=["soon", "late"])
+def test_a_handover_that_a_manager_has_left_is_undone_or_finished_without_losing_or_repeating_a_step(
+    is_given: bool, late: int
+) -> None:
+    with small_fleet("r1", "r2") as fleet, stuck_handover(fleet, is_given=is_given) as listener:
+        listener.await_more(late)
+        with fleet.runtime(source(), TALLY, takes_over=True) as later:
+            kept = SECOND if is_given else FIRST
+            assert later.environment.unit.keys() == {"count.1", kept.id}
+            later.apply(ChangeSet(rewired=() if later.environment.unit[kept.id] == kept else (kept,)))
+            eventually(lambda: sorted(fleet.units()) == ["count.1", kept.id])
+            listener.await_more(20)
+            assert listener.values == list(range(listener.values[0], listener.values[0] + len(listener.values)))
