@@ -1,4 +1,4 @@
-"""Relations as pairs: reachability, derivation and grouping."""
+"""Relations as pairs: reachability, derivations and grouping."""
 
 from __future__ import annotations
 
@@ -43,21 +43,6 @@ def reached(starts: Iterable[Item], onward: Callable[[Item], Iterable[Item]]) ->
         found |= new
         ahead += new
     return ahead
-
-
-def derived(missing: dict[Item, int], ahead: list[Item], above: Callable[[Item], Iterable[Item]]) -> Iterator[Item]:
-    """Yield the items `ahead`, then each item whose premises were all yielded, in the order of derivation.
-
-    `missing` has the number of premises that each other item still needs (1 if any one of them is enough); it is
-    counted down, and `ahead` grows. `above` gives the items that have an item as a premise.
-    """
-    for item in ahead:
-        yield item
-        for other in above(item):
-            if other in missing:
-                missing[other] -= 1
-                if not missing[other]:
-                    ahead.append(other)
 
 
 def derivations(
