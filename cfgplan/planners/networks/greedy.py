@@ -146,7 +146,7 @@ def _feeders(network: Network, label: int, total: list[float], fed: set[int]) ->
                 for port in group
             }
             feeders += [network.number[i] for i in _assigned(network, by_price)]
-        for port in transformation.inputs:
+        for port in transformation.needed_inputs:
             if port.feedback:
                 providers = network.core.providers.lists[network.fact_of_tag[port.tag]]
                 feeders.append(min(providers, key=total.__getitem__))
@@ -197,7 +197,7 @@ def _special_inputs_are_fed(network: Network, label: int, before: set[int], chos
     def feeders(tag: str, among: set[int]) -> list[str]:
         return [network.labels[i] for i in network.core.providers.lists[network.fact_of_tag[tag]] if i in among]
 
-    return all(feeders(p.tag, chosen) for p in transformation.inputs if p.feedback) and all(
+    return all(feeders(p.tag, chosen) for p in transformation.needed_inputs if p.feedback) and all(
         assign_different({p.name: feeders(p.tag, chosen if p.feedback else before) for p in group}) is not None
         for group in distinct_groups(transformation)
     )

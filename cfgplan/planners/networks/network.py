@@ -62,7 +62,7 @@ class Network:
                 if takes > 1:
                     needs[label] -= {facts.get((providers, 1), -1)}
                     needs[label].add(facts.setdefault((providers, takes), len(facts)))
-        for port in (port for t in library for port in t.inputs if port.feedback):
+        for port in (port for t in library for port in t.needed_inputs if port.feedback):
             fact(port.tag)
         certain = {self.number[label] for label in pinned}
         wanted = {fact(tag) for tag in self.targets}.union(*(needs[label] for label in certain))
