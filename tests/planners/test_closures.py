@@ -90,8 +90,9 @@ def test_candidates_run_where_the_judge_can_start_them_and_are_fed_by_earlier_on
     library = tuple({all_of[i].transformation.label: all_of[i].transformation for i in sorted(chosen)}.values())
     possible = judged_startable(Environment((), library), candidates.problem.similarity)
     can_run = {i for i in chosen if all_of[i].transformation.label in possible}
-    # `Grounded` feeds a distinct group by earlier streams only, feedback inputs of the group included.
-    is_exact = not any(port.feedback and port.distinct is not None for t in library for port in t.inputs)
+    # `Grounded` feeds optional inputs, too, and a distinct group by earlier streams only, whether feedback or not.
+    ports = [port for t in library for port in t.inputs]
+    is_exact = not any(port.optional or (port.feedback and port.distinct is not None) for port in ports)
     for attribute in (None, *problem.environment.qualities):
         grounded = Grounded(candidates, chosen, attribute)
         assert can_run.issuperset(grounded.order)
