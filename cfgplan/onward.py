@@ -1,13 +1,29 @@
-"""Relations as pairs: reachability, derivation and grouping."""
+"""Relations as pairs: reachability, derivations and grouping."""
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 Item = TypeVar("Item")
 Of = TypeVar("Of")
+Premise = TypeVar("Premise")
+Key = TypeVar("Key", contravariant=True)
+Found = TypeVar("Found", covariant=True)
+
+
+class Table(Protocol[Key, Found]):
+    """A list or a mapping that is read by key."""
+
+    def __getitem__(self, key: Key, /) -> Found: ...
+
+
+class Counts(Protocol[Key]):
+    """A list or a mapping of numbers that are counted down in place."""
+
+    def __getitem__(self, key: Key, /) -> int: ...
+    def __setitem__(self, key: Key, number: int, /) -> None: ...
 
 
 def grouped(pairs: Iterable[tuple[Of, Item]]) -> defaultdict[Of, list[Item]]:
@@ -29,16 +45,18 @@ def reached(starts: Iterable[Item], onward: Callable[[Item], Iterable[Item]]) ->
     return ahead
 
 
-def derived(missing: dict[Item, int], ahead: list[Item], above: Callable[[Item], Iterable[Item]]) -> Iterator[Item]:
-    """Yield the items `ahead`, then each item whose premises were all yielded, in the order of derivation.
+def derivations(
+    premises: Iterable[Premise], above: Table[Premise, Iterable[Item]], missing: Counts[Item]
+) -> Iterator[tuple[Item, Premise]]:
+    """Yield each item when the last of its premises holds, with that premise.
 
-    `missing` has the number of premises that each other item still needs (1 if any one of them is enough); it is
-    counted down, and `ahead` grows. `above` gives the items that have an item as a premise.
+    This is the one rule of every closure: a transformation can run when each of its required inputs is offered.
+    `premises` yields each premise once, when it holds, and goes on with those that hold by the items yielded so far:
+    the caller decides their order. `above` has the items that need a premise, and `missing` how many premises each of
+    them still needs (1 if any one of them is enough). Items that need none are the caller's to begin with.
     """
-    for item in ahead:
-        yield item
-        for other in above(item):
-            if other in missing:
-                missing[other] -= 1
-                if not missing[other]:
-                    ahead.append(other)
+    for premise in premises:
+        for item in above[premise]:
+            missing[item] -= 1
+            if not missing[item]:
+                yield item, premise

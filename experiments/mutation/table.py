@@ -511,8 +511,8 @@ CLOSING = _room(
     (
         "a loop holds itself up",
         "solving/support.py",
-        "sources = sorted(p for p, number in missing.items() if not number)",
-        "sources = sorted(missing)",
+        "order = sorted(p for p, number in missing.items() if not number)",
+        "order = sorted(missing)",
     ),
     (
         "all ways are ways into a loop",

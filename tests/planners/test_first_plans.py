@@ -19,6 +19,7 @@ from worlds import problems
 
 from cfgplan.domain import ComputationUnit, Environment, Host, InputPort
 from cfgplan.planners import PLANNERS
+from cfgplan.planners.closing.program import label_kinds
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.grounded import Grounded
@@ -95,6 +96,20 @@ def test_a_unit_runs_only_if_its_feedback_inputs_are_fed_too() -> None:
     numbers = [candidates.index_of[unit_id] for unit_id in ("source.1", "loop.1", "back.1")]
     assert Grounded(candidates, numbers[:2], None).order == [numbers[0]]
     assert sorted(Grounded(candidates, numbers, None).order) == sorted(numbers)
+
+
+@pytest.mark.parametrize("group", [None, "g"])
+def test_a_feedback_input_that_may_stay_unfed_and_has_no_feeder_does_not_keep_a_unit_from_running(
+    group: str | None,
+) -> None:
+    back = InputPort("back", "nothing", group, feedback=True, optional=True)
+    problem = fixed_world("B", kind("s", gives="A"), replace(make("f", gives="B"), inputs=(InputPort("in", "A"), back)))
+    network = Candidates(problem).network
+    price = np.ones(len(network.labels))
+    assert plan_at(network, [1, 1], price) == {0, 1}
+    assert plan_at(network, [1, 1], price.tolist()) == {0, 1}
+    assert len(set(label_kinds(network, np.ones(2, np.int64)))) == 2
+    assert plan_violations(problem, PLANNERS["cpsat"](problem)) == []
 
 
 @pytest.mark.parametrize(

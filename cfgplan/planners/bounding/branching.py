@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from heapq import heappop, heappush
 from typing import TYPE_CHECKING
 
+from cfgplan.onward import derivations
 from cfgplan.planners.networks.core import NEVER, Core
 from cfgplan.planners.solving.arrays import np
 
@@ -72,17 +73,14 @@ class Ways:
 
     def _derive(self) -> None:
         """Compute all values from the sources on, cheapest facts first (Dijkstra)."""
-        before, max_need, needed_by = self._before, self._max_need, self._links.needed_by
-        missing, ahead = self._links.missing[:], list[tuple[int, int]]()
+        facts, before, max_need = self._facts, self._before, self._max_need
+        ahead = list[tuple[int, int]]()
         for label in self._links.sources:
             before[label] = 0
             self._offer(label, ahead)
-        for value, fact in self._settled(ahead):
-            for label in needed_by[fact]:
-                missing[label] -= 1
-                if not missing[label]:
-                    before[label], max_need[label] = value, fact
-                    self._offer(label, ahead)
+        for label, fact in derivations(self._settled(ahead), self._links.needed_by, self._links.missing[:]):
+            before[label], max_need[label] = facts[fact], fact
+            self._offer(label, ahead)
 
     def lower(self, cheaper: Iterable[int]) -> None:
         """Update all values after some labels became cheaper."""
@@ -91,7 +89,7 @@ class Ways:
         ahead = list[tuple[int, int]]()
         for label in cheaper:
             self._offer(label, ahead)
-        for _, fact in self._settled(ahead):
+        for fact in self._settled(ahead):
             for label in needed_by[fact]:
                 if max_need[label] == fact:
                     max_need[label] = need = max(needs[label], key=value_of)
@@ -99,13 +97,13 @@ class Ways:
                         before[label] = facts[need]
                         self._offer(label, ahead)
 
-    def _settled(self, ahead: list[tuple[int, int]]) -> Iterator[tuple[int, int]]:
+    def _settled(self, ahead: list[tuple[int, int]]) -> Iterator[int]:
         """Yield the facts ahead, cheapest first, without outdated entries. More may be put ahead meanwhile."""
         facts = self._facts
         while ahead:
             value, fact = heappop(ahead)
             if value == facts[fact]:
-                yield value, fact
+                yield fact
 
     def _offer(self, label: int, ahead: list[tuple[int, int]]) -> None:
         """Put ahead the facts that a label gives more cheaply than was known."""

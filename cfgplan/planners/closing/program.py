@@ -33,7 +33,8 @@ def label_kinds(network: Network, cost: Ints) -> Ints:
     If a plan had two, the later one in a grounded order could go: the earlier one gives all that it gives. This holds
     only for labels that cost something, and whose facts are not demanded by a distinct group.
     """
-    distinct = {network.fact_of_tag[p.tag] for t in network.transformations for p in t.inputs if p.distinct is not None}
+    needed = (port for t in network.transformations for port in t.needed_inputs)
+    distinct = {network.fact_of_tag[port.tag] for port in needed if port.distinct is not None}
     gives = network.core.gives
     first: dict[bytes, int] = {}
     kinds = np.arange(len(cost))

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import defaultdict
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from heapq import heappop, heappush
-from itertools import count, repeat
+from itertools import chain, count, repeat
 from typing import Final
 
 from cfgplan.domain import InputPort, Stream
-from cfgplan.onward import grouped
+from cfgplan.onward import derivations, grouped
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.qualities import QualityAttribute, propagated
 from cfgplan.reasons import assign_different, distinct_groups
@@ -99,24 +99,27 @@ class Grounded:
                     self._kept_by[feeder].append(unit)
 
     def _start(self, chosen: list[int]) -> None:
+        """Run units one by one, those without distinct groups as soon as all their tags are offered."""
         waiting: dict[str, list[int]] = defaultdict(list)
         missing: dict[int, int] = {}
         crowded: list[int] = []
-
-        def look(unit: int) -> None:
-            if self._assign(unit):
-                self._wait(unit)
-            else:
-                crowded.append(unit)
-
         for unit in chosen:
             tags = {port.tag for port in self.candidates.all[unit].transformation.inputs if not port.feedback}
             missing[unit] = len(tags)
             for tag in tags:
                 waiting[tag].append(unit)
-        for unit in chosen:
-            if not missing[unit]:
-                look(unit)
+        sources = [unit for unit in chosen if not missing[unit]]
+        for unit in chain(sources, (unit for unit, _ in derivations(self._offered(crowded), waiting, missing))):
+            if self._assign(unit):
+                self._wait(unit)
+            else:
+                crowded.append(unit)
+
+    def _offered(self, crowded: list[int]) -> Iterator[str]:
+        """Take units and streams in turn; yield each tag when its first stream is there.
+
+        A `crowded` unit has too few streams for a distinct group so far; it is tried again after each stream.
+        """
         for _ in self.candidates.clock.each(repeat(None)):
             if not self._ahead:
                 break
@@ -126,11 +129,10 @@ class Grounded:
                 continue
             self._place[item] = len(self._place)
             for tag in self._meets.get(item, ()):
-                self.streams.setdefault(tag, []).append(item)
-                for unit in waiting.pop(tag, ()):
-                    missing[unit] -= 1
-                    if not missing[unit]:
-                        look(unit)
+                streams = self.streams.setdefault(tag, [])
+                streams.append(item)
+                if len(streams) == 1:
+                    yield tag
             for unit in [unit for unit in crowded if unit in self._before or self._assign(unit)]:
                 crowded.remove(unit)
                 self._wait(unit)

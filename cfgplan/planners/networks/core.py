@@ -12,6 +12,7 @@ from heapq import heappop, heappush
 from itertools import chain, combinations
 from typing import TYPE_CHECKING, Final, TypeAlias, TypeVar
 
+from cfgplan.onward import derivations
 from cfgplan.planners.solving.arrays import np
 
 if TYPE_CHECKING:
@@ -291,31 +292,29 @@ class Core:
 
         A label costs its price plus `join` of its needs; a fact that takes several providers costs `join` of theirs.
         """
-        needs, gives, needed_by, takes = self.needs.lists, self.gives.lists, self.needed_by.lists, self.multi_takes
-        missing = {label: len(needs[label]) for label in range(self.goal)}
+        needs, gives, takes = self.needs.lists, self.gives.lists, self.multi_takes
+        missing = [len(needs[label]) for label in range(self.goal)] + [0]  # the goal gives nothing
         facts: dict[int, Value] = {}
         offers: dict[int, list[Value]] = {fact: [] for fact in takes}
         ahead: list[tuple[Value, int]] = []
-        ready = [label for label, count in missing.items() if not count]
-        while True:
-            for label in ready:
-                cost = join([facts[fact] for fact in needs[label]] or [price[label] * 0]) + price[label]
-                for fact in gives[label]:
-                    heappush(ahead, (cost, fact))
-            ready = []
-            if not ahead:
-                return facts
-            value, fact = heappop(ahead)
-            if fact in offers:
-                offers[fact].append(value)
-                if len(offers[fact]) == takes[fact]:
-                    heappush(ahead, (join(offers.pop(fact)), fact))
-            elif fact not in facts:
-                facts[fact] = value
-                for label in needed_by[fact]:
-                    missing[label] = missing.get(label, 0) - 1
-                    if not missing[label]:
-                        ready.append(label)
+
+        def settled() -> Iterator[int]:
+            while ahead:
+                value, fact = heappop(ahead)
+                if fact in offers:
+                    offers[fact].append(value)
+                    if len(offers[fact]) == takes[fact]:
+                        heappush(ahead, (join(offers.pop(fact)), fact))
+                elif fact not in facts:
+                    facts[fact] = value
+                    yield fact
+
+        sources = [label for label in range(self.goal) if not missing[label]]
+        for label in chain(sources, (label for label, _ in derivations(settled(), self.needed_by.lists, missing))):
+            cost = join([facts[fact] for fact in needs[label]] or [price[label] * 0]) + price[label]
+            for fact in gives[label]:
+                heappush(ahead, (cost, fact))
+        return facts
 
     def restricted(self, keep: Flags) -> Core:
         """Return the part with the flagged labels and the facts they need; every need of a kept label must be kept."""

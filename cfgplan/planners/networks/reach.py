@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from cfgplan.onward import derived
+from cfgplan.onward import derivations
 from cfgplan.planners.networks.core import Core
 from cfgplan.reasons import Each
 
@@ -28,8 +28,8 @@ class Reach:
         self._started = 0
         for label in dict.fromkeys(labels):
             self._wait(label)
-        ready = [label for label, number in self._missing.items() if not number]
-        self.order = list(each(derived(self._missing, ready, self._consumers)))
+        self.order: list[int] = []
+        self._start([label for label, number in self._missing.items() if not number], each)
 
     def holds(self, fact: int | None) -> bool:
         """Whether enough providers of a fact have started; False for None."""
@@ -46,7 +46,7 @@ class Reach:
             self._added = label
             self._wait(label)
             if not self._missing[label]:
-                self.order += derived(self._missing, [label], self._consumers)
+                self._start([label])
         self._started = len(self.order) - before
 
     def take_back(self) -> None:
@@ -72,10 +72,18 @@ class Reach:
         for fact in needs:
             waiting.setdefault(fact, []).append(label)
 
-    def _consumers(self, label: int) -> Iterator[int]:
-        """Count what a label gives once it has started; yields the labels that need a fact which holds by it."""
-        takes, given, waiting = self._core.multi_takes, self._given, self._waiting
-        for fact in self._core.gives.lists[label]:
-            number = given[fact] = given.get(fact, 0) + 1
-            if number == takes.get(fact, 1) and fact in waiting:
-                yield from waiting[fact]
+    def _start(self, ahead: list[int], each: Each = iter) -> None:
+        """Start labels whose needs hold, then those that they let start."""
+        self.order += ahead
+        for label, _ in derivations(self._held(each(ahead)), self._waiting, self._missing):
+            ahead.append(label)
+            self.order.append(label)
+
+    def _held(self, started: Iterable[int]) -> Iterator[int]:
+        """Count the facts that labels give; yield each that others need as soon as it holds."""
+        gives, takes, given, waiting = self._core.gives.lists, self._core.multi_takes, self._given, self._waiting
+        for label in started:
+            for fact in gives[label]:
+                number = given[fact] = given.get(fact, 0) + 1
+                if number == takes.get(fact, 1) and fact in waiting:
+                    yield fact

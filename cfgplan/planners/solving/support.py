@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Collection
 
-from cfgplan.onward import derived
+from cfgplan.onward import derivations
 
 
 class Support:
@@ -32,9 +32,11 @@ class Support:
 
     def grounded(self, true: Collection[int]) -> dict[int, int]:
         """The true propositions that can be derived within `true`, each with its place in the order."""
-        missing = {p: len(self.all_of[p]) if p in self.all_of else 1 for p in true}
-        sources = sorted(p for p, number in missing.items() if not number)
-        return {p: rank for rank, p in enumerate(derived(missing, sources, self._above.__getitem__))}
+        missing = defaultdict(int, {p: len(self.all_of[p]) if p in self.all_of else 1 for p in true})
+        order = sorted(p for p, number in missing.items() if not number)
+        for proposition, _ in derivations(order, self._above, missing):  # those that are not true go below 0
+            order.append(proposition)
+        return {p: rank for rank, p in enumerate(order)}
 
     def cut(self, true: Collection[int], rank: Collection[int]) -> tuple[list[int], list[int]]:
         """The ungrounded booleans as a cut (propositions, ways in): any proposition needs one of the ways in.
