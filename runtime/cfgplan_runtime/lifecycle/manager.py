@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import replace
 from math import inf
 
@@ -324,7 +325,8 @@ class Manager:
                 self._estimator.failed(place.label, self._clock.now(), place.host)
             case transitions.Remember(place, failures):
                 if isinstance(self._middleware, Outlived):
-                    self._middleware.remember(place.label, place.host, failures)
+                    with suppress(RuntimeFaultError):  # it is closed, and its units died of that
+                        self._middleware.remember(place.label, place.host, failures)
             case transitions.MakePlan():
                 self._plan(effect)
             case transitions.MakePreview():
