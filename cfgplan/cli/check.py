@@ -47,7 +47,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     for code_fault in faulty:
         screen.warn_of(code_fault)
     if not world.environment.units and options.against is None:
-        return _nothing_runs(options, world, screen)
+        return _nothing_runs(options, world, screen, all_start=not faulty)
     found, gone = every, 0
     if options.against is not None:
         before = {
@@ -83,7 +83,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     return Exit.INVALID if broken else Exit.OK
 
 
-def _nothing_runs(options: argparse.Namespace, world: World, screen: Screen) -> Exit:
+def _nothing_runs(options: argparse.Namespace, world: World, screen: Screen, *, all_start: bool) -> Exit:
     """Say that the file itself is valid, where it names no running units whose wiring could be wrong."""
     if screen.json:
         told = {"valid": True, "violations": [], "unfed": [], "untaken": [], "remaps": []}
@@ -92,7 +92,8 @@ def _nothing_runs(options: argparse.Namespace, world: World, screen: Screen) -> 
     for line in left_out_lines(world.environment):
         screen.show(line)
     plans = f"`cfgplan solve {options.env}` plans what to start"
-    screen.show(_bold(world, f"the file is valid. Nothing runs yet: {plans}", "green"))
+    but, colour = ("", "green") if all_start else (", but the warnings name code or fields to correct", "yellow")
+    screen.show(_bold(world, f"the file is valid{but}. Nothing runs yet: {plans}", colour))
     if nothing := nothing_wanted(world.environment):
         screen.warn(nothing)
     return Exit.OK

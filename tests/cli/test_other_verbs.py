@@ -180,6 +180,17 @@ def test_check_says_that_a_file_without_units_is_valid_and_how_to_go_on(run: Run
     assert run("check", env, "--json").document["valid"] is True
 
 
+def test_check_of_a_file_without_units_does_not_hide_that_code_is_broken(
+    run: Run, write: Callable[[str], Path], tmp_path: Path
+) -> None:
+    env = write("transformations: [{label: s, source: 'code.py:s', outputs: {x: A}}]\n")
+    (tmp_path / "code.py").write_text("def s(:\n")
+    result = run("check", env)
+    assert result.code == 0
+    assert "can't be started" in result.err
+    assert "the file is valid, but the warnings name code or fields to correct. Nothing runs yet" in result.out
+
+
 def test_check_against_a_file_where_something_ran_still_says_what_broke(
     run: Run, write: Callable[[str], Path], tmp_path: Path
 ) -> None:
