@@ -66,7 +66,7 @@ def killed_run(fleet: SmallFleet, note: Path) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("is_changed", [False, True], ids=["as it was", "changed"])
-def test_what_failed_on_a_host_does_not_start_there_again_under_the_next_manager_unless_it_is_changed(
+def test_a_transformation_that_failed_on_a_host_is_not_started_there_by_the_next_manager_unless_it_is_changed(
     tmp_path: Path, is_changed: bool
 ) -> None:
     first, then = tmp_path / "first", tmp_path / "then"
@@ -133,7 +133,7 @@ def test_a_host_tells_each_later_manager_of_the_failures_there_until_they_are_fo
 
 
 @pytest.mark.parametrize("is_code", [True, False], ids=["its code", "how it is started"])
-def test_failures_of_what_has_changed_are_forgotten(tmp_path: Path, is_code: bool) -> None:
+def test_failures_of_changed_transformations_are_forgotten(tmp_path: Path, is_code: bool) -> None:
     code = (FOLDER / "fleet_units.py").read_text()
     (tmp_path / "fleet_units.py").write_text(code + "# mended" * is_code)
     changed = WORK if is_code else replace(WORK, params={"mended": True})
