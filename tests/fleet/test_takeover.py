@@ -170,13 +170,13 @@ TALLY = worker("work", "Tally", run=RunOptions(state="altitude"))
 COUNT, FIRST = unit("count.1", "r1"), unit("work.1", "r2", topic="/result", x="count.1/n")
 SECOND = moved(FIRST, "work.2", "r1")
 LATE = 1300
-"""More elements than come in the time for which a new unit keeps all that it gets."""
+"""More elements than arrive while a new unit keeps all of them."""
 
 
 @contextmanager
 def stuck_handover(fleet: SmallFleet, *, is_given: bool) -> Iterator[Listener]:
-    """A manager that replaces work.1 on r2 by work.2 on r1, and does nothing more once that waits for the state of
-    work.1, or has got it. The topic of both is listened to.
+    """A manager that replaces work.1 on r2 by work.2 on r1, and stops when work.2 waits for the state of work.1, or
+    has it. Yields a listener to the topic of both.
     """
     stuck, may_end = threading.Event(), threading.Event()
     with fleet.runtime(source(), TALLY) as runtime:

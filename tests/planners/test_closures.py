@@ -1,4 +1,4 @@
-"""Each closure derives the same labels, as told by rule or by the judge, with the order, the costs or the streams."""
+"""Each closure derives the labels that the rule or the judge derives, with their order, costs or streams."""
 
 from __future__ import annotations
 
