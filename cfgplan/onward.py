@@ -48,12 +48,12 @@ def reached(starts: Iterable[Item], onward: Callable[[Item], Iterable[Item]]) ->
 def derivations(
     premises: Iterable[Premise], above: Table[Premise, Iterable[Item]], missing: Counts[Item]
 ) -> Iterator[tuple[Item, Premise]]:
-    """Yield each item when the last of its premises holds, with that premise.
+    """Yield each item as soon as all of its premises hold, with the last of them.
 
-    This is the one rule of every closure: a transformation can run when each of its required inputs is offered.
-    `premises` yields each premise once, when it holds, and goes on with those that hold by the items yielded so far:
-    the caller decides their order. `above` has the items that need a premise, and `missing` how many premises each of
-    them still needs (1 if any one of them is enough). Items that need none are the caller's to begin with.
+    All closures follow this rule: a transformation can run when each of its required inputs is offered. The caller
+    decides the order: its `premises` yields each premise once, as soon as it holds, also those that follow from the
+    items yielded so far. `above` maps a premise to the items that need it. `missing` has the number of premises that
+    each item still needs (1 if any one is enough), and is counted down. The caller handles items without premises.
     """
     for premise in premises:
         for item in above[premise]:

@@ -120,7 +120,7 @@ def test_a_change_of_the_library_stands_in_its_table() -> None:
 
 
 def run_again(path: Path) -> tuple[Any, Any]:
-    """A notebook as it is kept, and as it is after it has run now in its own folder, as Jupyter runs it."""
+    """A notebook as it is kept, and the same notebook after a run in its own folder, as in Jupyter."""
     nbclient = pytest.importorskip("nbclient", reason="pip install 'cfgplan[test]'")
     nbformat = pytest.importorskip("nbformat")
     kept, now = (nbformat.read(path, as_version=4) for _ in range(2))

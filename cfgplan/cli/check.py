@@ -92,7 +92,7 @@ def _nothing_runs(options: argparse.Namespace, world: World, screen: Screen, *, 
     for line in left_out_lines(world.environment):
         screen.show(line)
     plans = f"`cfgplan solve {options.env}` plans what to start"
-    but, colour = ("", "green") if all_start else (", but the warnings name code or fields to correct", "yellow")
+    but, colour = ("", "green") if all_start else (", but the warnings say what to correct", "yellow")
     screen.show(_bold(world, f"the file is valid{but}. Nothing runs yet: {plans}", colour))
     if nothing := nothing_wanted(world.environment):
         screen.warn(nothing)

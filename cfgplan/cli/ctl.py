@@ -37,7 +37,7 @@ example:
   cfgplan ctl plan --out plan.json     (what `review` would do now)
   cfgplan ctl why camera.1
   cfgplan ctl logs camera --follow     (output of all units of camera, also of ended ones)
-  cfgplan ctl events                   (the last ones, then new ones; --since 10m: past ones alone)
+  cfgplan ctl events                   (the last events, then new ones; --since 10m: only past ones)
   cfgplan ctl topics                   (publisher, rate and age of each)
   cfgplan ctl hz /result               (rate and jitter of a topic)
   cfgplan ctl --name robot state       (of the run that `cfgplan run --name robot` has started)

@@ -27,7 +27,7 @@ _WINDOW = 1000
 """Rates are over so many of the last intervals at most."""
 _TELLS_S = 1.0
 _LAST_EVENTS = 10
-"""Past events that are printed before new ones are waited for."""
+"""The number of past events that are printed before the new ones."""
 
 
 def _add_logs(parser: argparse.ArgumentParser) -> None:
@@ -44,7 +44,7 @@ def _add_events(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--last", type=shared.count, metavar="N", help="print the last N events (1,000 are kept)")
     since = "print the events of the last 30s, 10m or 2h (1,000 are kept)"
     parser.add_argument("--since", type=shared.duration, metavar="TIME", help=since)
-    parser.add_argument("--follow", action="store_true", help="with --last or --since: go on with new events")
+    parser.add_argument("--follow", action="store_true", help="with --last or --since: continue with new events")
     parser.epilog = (
         f"Without --last and --since: the last {_LAST_EVENTS} events (with --json none), then new ones until Ctrl-C."
     )
@@ -61,9 +61,9 @@ OPTIONS: Mapping[str, Callable[[argparse.ArgumentParser], None]] = MappingProxyT
 
 
 def _events(control: Control, screen: Screen, options: argparse.Namespace) -> Exit:
-    """Print the past events that the options ask for, then those that follow.
+    """Print the past events that the options ask for, then new ones.
 
-    Without options, people see the last events first; programs get only new ones.
+    Without options, the text for people begins with the last events; JSON has only new ones.
     """
     has_past = options.last is not None or options.since is not None
     follows, told = options.follow or not has_past, 0

@@ -133,8 +133,8 @@ def first_review(
     """Plan as the first review of a run would, with the estimates that earlier runs have kept.
 
     `running` are the units of an earlier run that this one adopts. `warn` is told if the estimates can't be used.
-    Transformations whose code has `faults`, by label, are left out, and so are places with `failures` for the time of
-    their back-off.
+    Transformations whose code has `faults`, by label, are left out. Places with `failures` are left out while they back
+    off.
     """
     from cfgplan_runtime.estimating.estimates_file import EstimatesError, load
     from cfgplan_runtime.estimating.estimator import make_estimator

@@ -92,9 +92,9 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
 @contextmanager
 def _tap(options: argparse.Namespace, fleet: ReachedFleet | None) -> Iterator[KeptTap | None]:
-    """Show the stream that the options name on a topic, or that of a target whose topic is in ROS alone.
+    """Publish the stream that the options name on a topic, also if it is that of a target that only ROS nodes receive.
 
-    None if they name another topic. Raises InputError.
+    None if they name any other topic. Raises InputError.
     """
     from cfgplan_runtime.operating.kept_tap import kept_tap
     from cfgplan_runtime.operating.protocol import RefusedError

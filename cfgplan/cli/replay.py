@@ -190,12 +190,12 @@ def _tell_untagged(found: Recorded, options: argparse.Namespace, targets: list[T
     played = {target.topic for target in targets}
     without = [topic for topic in options.topic or found.topics if topic not in played]
     if without:
-        mend = "add targets of these topics: their tags say what the streams are"
-        screen.warn_of(Fault(f"not played, since no target of {options.env} has the topic: {some(without)}", mend=mend))
+        mend = "add targets with these topics and with the tags of their streams"
+        screen.warn_of(Fault(f"{some(without)} can't be played: no target of {options.env} has the topic", mend=mend))
 
 
 def _tell_untaken(world: World, sources: tuple[Transformation, ...], env: str, screen: Screen) -> None:
-    """Warn of recorded topics that no unit takes in the plan of a replay, and of sources that were not recorded."""
+    """Warn of recorded topics that no unit uses in the plan of a replay, and of sources that were not recorded."""
     from cfgplan import api
 
     problem, plan = api.solve(world)
@@ -210,14 +210,14 @@ def _tell_untaken(world: World, sources: tuple[Transformation, ...], env: str, s
     if not untaken:
         return
     if len(untaken) < len(played):
-        screen.note(f"No unit of {env} takes {some(untaken)}: only listeners get that.")
+        screen.note(f"No unit of {env} uses {some(untaken)}: only listeners receive it.")
         return
-    message = f"no unit of {env} takes a recorded topic: only listeners get {some(untaken)}"
+    message = f"no unit of {env} uses a recorded topic: only listeners receive {some(untaken)}"
     screen.warn_of(Fault(message, mend=_mend_of_untaken(problem, sources, env)))
 
 
 def _mend_of_untaken(problem: Problem, sources: tuple[Transformation, ...], env: str) -> str:
-    """Return what to do so that units take recorded topics: play fewer of them, or record what the sources give."""
+    """Return the remedy if no unit uses a recorded topic: play fewer topics, or record the outputs of the sources."""
     own = [one for one in problem.environment.library if one not in sources]
     demanded = {port.tag for one in own for port in one.inputs}
 
@@ -227,7 +227,7 @@ def _mend_of_untaken(problem: Problem, sources: tuple[Transformation, ...], env:
 
     if usable := [str(source.params["topic"]) for source in sources if fed_by([source])]:
         play = " ".join(f"--topic {topic}" for topic in usable)
-        return f"the recording has the results too, so no unit computes them; to compute them again, play {play} only"
+        return f"the recording has the results too, so no unit computes them; to compute them again, play only {play}"
     live = [one for one in own if not one.inputs and fed_by([one])]
     if not live:
         return f"`cfgplan match {env}` shows which outputs may feed which inputs"

@@ -98,7 +98,7 @@ def value_text(value: Fraction, found: Sensitivity) -> str:
 
 
 def core_text(upkeep_us: Fraction) -> str:
-    """An upkeep in microseconds of CPU time per second, as exactly as is short: `8 % of a core`."""
+    """An upkeep in microseconds of CPU time per second, as text: `8 % of a core`; rounded if it is no short decimal."""
     return f"{_decimal(upkeep_us / PERCENT_US)} % of a core"
 
 

@@ -19,7 +19,7 @@ from cfgplan.summary import counted, some
 
 _SUBSCRIBER: Final = "cfgplan_runtime.mqtt:Subscriber"
 _OWN: Final = "cfgplan/"
-"""Begins the topics that runs publish, such as their status."""
+"""The prefix of the topics that runs publish, such as their status."""
 _ALIKE: Final = 3
 """The least number of topics differing in one level for a hint."""
 _PATIENCE: Final = 5
@@ -98,7 +98,7 @@ def mqtt_imported(traffic: Traffic, params: Mapping[str, Any]) -> MqttImported:
 
 
 def _example(sources: Sequence[MqttSource]) -> str:
-    """Return a target, as YAML, for the first source whose kind is known, or else the first that no run publishes."""
+    """Return a target, as YAML, for the first source of a known kind, or else for the first that no run publishes."""
     foreign = [source for source in sources if not source.topic.name.startswith(_OWN)] or sources
     wanted = next((source for source in sources if source.entity and source.entity.kind), foreign[0])
     silent = "" if wanted.topic.period_s is None else f", silent: {_silent_s(wanted.topic.period_s)}s"
@@ -151,22 +151,22 @@ def _hints(sources: Iterable[MqttSource]) -> Iterator[str]:
                 f"{pattern}: {len(differing)} topics differ only there ({some(sorted(differing))}); a subscriber to "
                 "the pattern gives the values of all with their topics, a template makes a source of each"
             )
-    yield from _alike(sources)
+    yield from _slash_hints(sources)
     if mappings := [f"{source.topic.name} ({some(source.topic.fields)})" for source in sources if _is_open(source)]:
         yield f"messages with fields: {some(mappings)}; with `field` in its `params` a source gives one of them"
     if silent := sorted({source.topic.name for source in sources if source.is_silent}):
         yield f"{some(silent)}: described, but nothing came; the form of the payload is guessed"
 
 
-def _alike(sources: Iterable[MqttSource]) -> Iterator[str]:
-    """Yield a hint for topics that differ in slashes at their ends only, which people take for one topic."""
+def _slash_hints(sources: Iterable[MqttSource]) -> Iterator[str]:
+    """Yield a hint for topics that differ only in slashes at their ends, and are easily confused."""
     groups: defaultdict[tuple[str, Path], list[MqttSource]] = defaultdict(list)
     for source in sources:
         groups[source.topic.name.strip("/"), source.path].append(source)
     for group in groups.values():
         if len(group) > 1:
             named = some(f"{source.topic.name} is {source.label}" for source in group)
-            yield f"{named}: a slash at an end makes another topic; see that targets name the right one"
+            yield f"{named}: topics that differ by a slash are different topics; check that targets name the right one"
 
 
 def _silent_s(period_s: float) -> int:

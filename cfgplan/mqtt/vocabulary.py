@@ -118,7 +118,7 @@ class MqttVocabulary:
             key = (*key, part) if number < len(levels) else (*key, "", part)  # no topic but a field has such a key
             words.append(plain_word(part))
             if not any(words) and number + 1 < len(levels):
-                continue  # slashes at the beginning have no concept of their own
+                continue  # leading slashes have no concept of their own
             label = " ".join(["/".join(levels[: number + 1]), *steps[: max(number + 1 - len(levels), 0)]])
             above = self._ontology.concept(key, "-".join(filter(None, words)) or "_", above, label)
         return above

@@ -55,7 +55,7 @@ class Poller:
 
     @classmethod
     def check_params(cls, params: Mapping[str, Any]) -> None:
-        """Raise InputError for params with which no unit can be constructed. Asks for nothing."""
+        """Raise InputError for params with which no unit can be constructed. Sends no request."""
         check_call(cls, "HTTP", _LOGIN, params)
         _checked(params["url"])
 

@@ -188,7 +188,7 @@ def test_check_of_a_file_without_units_does_not_hide_that_code_is_broken(
     result = run("check", env)
     assert result.code == 0
     assert "can't be started" in result.err
-    assert "the file is valid, but the warnings name code or fields to correct. Nothing runs yet" in result.out
+    assert "the file is valid, but the warnings say what to correct. Nothing runs yet" in result.out
 
 
 def test_check_against_a_file_where_something_ran_still_says_what_broke(

@@ -1,4 +1,4 @@
-"""A run to be killed: arguments are a file, in which its worker notes each failure on r1, and the agents' endpoints.
+"""A run that a test kills. Arguments: a file where its worker notes each failure on r1, and the agents' endpoints.
 
 It says `met` once the worker runs on r2.
 """

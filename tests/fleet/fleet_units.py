@@ -107,7 +107,7 @@ class Waits:
 
 
 class FailsOn:
-    """Fails at its start on one host, which it notes in a file; elsewhere it gives what it gets."""
+    """Fails at its start on one host, and notes this in a file. On other hosts, it returns its input."""
 
     def __init__(self, host: str, note: str) -> None:
         lines = [one.cmdline() for one in psutil.Process().parents()]

@@ -181,7 +181,7 @@ def test_a_dead_agent_is_noticed_at_once_and_its_units_are_replaced_elsewhere() 
 
 
 def test_an_agent_whose_links_end_although_it_lives_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It has given its link up because it heard nothing, and makes it anew."""
+    """It has closed its link because it heard nothing, and opens it again."""
     with small_fleet("r1") as fleet, fleet.runtime(source()) as runtime:
         runtime.apply(ChangeSet(started=(COUNT,)))
         presence = runtime.supervisor.backend._presence

@@ -66,7 +66,7 @@ def killed_run(fleet: SmallFleet, note: Path) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("is_changed", [False, True], ids=["as it was", "changed"])
-def test_what_failed_on_a_host_does_not_start_there_again_under_the_next_manager_unless_it_is_changed(
+def test_a_transformation_that_failed_on_a_host_is_not_started_there_by_the_next_manager_unless_it_is_changed(
     tmp_path: Path, is_changed: bool
 ) -> None:
     first, then = tmp_path / "first", tmp_path / "then"
@@ -133,7 +133,7 @@ def test_a_host_tells_each_later_manager_of_the_failures_there_until_they_are_fo
 
 
 @pytest.mark.parametrize("is_code", [True, False], ids=["its code", "how it is started"])
-def test_failures_of_what_has_changed_are_forgotten(tmp_path: Path, is_code: bool) -> None:
+def test_failures_of_changed_transformations_are_forgotten(tmp_path: Path, is_code: bool) -> None:
     code = (FOLDER / "fleet_units.py").read_text()
     (tmp_path / "fleet_units.py").write_text(code + "# mended" * is_code)
     changed = WORK if is_code else replace(WORK, params={"mended": True})
@@ -170,13 +170,13 @@ TALLY = worker("work", "Tally", run=RunOptions(state="altitude"))
 COUNT, FIRST = unit("count.1", "r1"), unit("work.1", "r2", topic="/result", x="count.1/n")
 SECOND = moved(FIRST, "work.2", "r1")
 LATE = 1300
-"""More elements than come in the time for which a new unit keeps all that it gets."""
+"""More elements than arrive while a new unit keeps all of them."""
 
 
 @contextmanager
 def stuck_handover(fleet: SmallFleet, *, is_given: bool) -> Iterator[Listener]:
-    """A manager that replaces work.1 on r2 by work.2 on r1, and does nothing more once that waits for the state of
-    work.1, or has got it. The topic of both is listened to.
+    """A manager that replaces work.1 on r2 by work.2 on r1, and stops when work.2 waits for the state of work.1, or
+    has it. Yields a listener to the topic of both.
     """
     stuck, may_end = threading.Event(), threading.Event()
     with fleet.runtime(source(), TALLY) as runtime:

@@ -17,7 +17,7 @@ GUESTS = 20
 
 
 def visit(life: Life) -> None:
-    """A guest that dies again and again comes and goes; its reports are read."""
+    """A guest comes, dies again and again, and goes; its reports are read."""
     life.ask(Add((Target("guest", "G", "/guest"),), (worker("guest", gives="G"),)))
     life.pass_time(3.0)
     life.ask(Remove(("guest",), ("guest",)))

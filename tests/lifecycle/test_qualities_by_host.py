@@ -147,7 +147,7 @@ def test_a_place_that_was_observed_without_a_look_has_no_pause_of_looks_at_other
 
 
 def test_a_look_runs_a_transformation_on_one_host_only() -> None:
-    """The plan with the hoped qualities has a lidar on each host; what a look teaches is compared at its place."""
+    """The plan with the hoped qualities has a lidar on each host; the result of a look is compared at its place."""
     averaged = Contribution("error", QualityRule.ADD, 0, over=Over.MEAN)
     ports = (InputPort("x", "Position", count=2),), (OutputPort("f", "Fused", (averaged,)),)
     fuse = Transformation("fuse", *ports, 1000, 1000, source="units.py:fuse")

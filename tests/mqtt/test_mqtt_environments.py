@@ -173,7 +173,7 @@ def test_a_slash_at_the_beginning_is_no_level_of_the_tags_and_topics_that_only_i
     assert matches(found, "hall", tmp_path) == ["hall-h", "hall-t"]
     assert ':hall a owl:Class ; rdfs:subClassOf :Topic ; rdfs:label "/hall" .' in found.ontology
     (hint,) = (hint for hint in found.hints if "slash" in hint)
-    assert hint.startswith("/hall/t is hall-t, hall/t is hall-t_: a slash at an end makes another topic")
+    assert hint.startswith("/hall/t is hall-t, hall/t is hall-t_: topics that differ by a slash are different topics")
     assert not any("slash" in hint for hint in made({"/hall/t": [b"20"], "hall/h": [b"21"]}).hints)
 
 

@@ -88,7 +88,7 @@ def test_at_night_the_camera_is_looked_at_until_it_is_day_again() -> None:
 
 
 def test_by_a_fact_the_camera_is_used_for_at_most_four_seconds_of_each_night() -> None:
-    """Smoothing takes 1.44 times its half-life of 2 s, and the band a third of a second: 3 % of a day of 120 s."""
+    """Smoothing takes 1.44 times its half-life of 2 s, and the band 0.6 s: 3 % of a day of 120 s."""
     loaded, chance = cfgplan.load(NAO / "8-night.yaml"), Random(1)
     runtime = SimulatedRuntime()
     world = replace(loaded, environment=replace(loaded.environment, units=()))

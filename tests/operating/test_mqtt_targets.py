@@ -287,7 +287,7 @@ def test_a_run_does_not_publish_where_it_listens(
     other_name = broker.name.replace("127.0.0.1", "localhost")
     assert main(["run", str(env), "--mqtt", f"mqtt://{other_name}", "--for", "1s"]) == 30
     told = capsys.readouterr().err
-    assert f"sensor subscribes to {topic} there: the run would hear what it publishes" in told
+    assert f"sensor subscribes to {topic} there: the run would receive its own values" in told
     assert "`topic: cfgplan/hall/t`" in told
     elsewhere = env.read_text().replace("topic: /hall/t, tag", "topic: hall/t, tag")
     env.write_text(elsewhere)

@@ -280,7 +280,7 @@ targets:
 IMAGES = "  - {label: image, topic: /image, tag: Image}\n"
 GOALS = "  - {label: goal, topic: /goal, tag: Goal}\n  - {label: other, topic: /other, tag: Field}\n"
 COUNTER = '  - {label: counter, source: "count.py:count", inputs: {ball: Ball}, outputs: {number: Goal}}\n'
-NOBODY = "warning: no unit of env.yaml takes a recorded topic: only listeners get"
+NOBODY = "warning: no unit of env.yaml uses a recorded topic: only listeners receive"
 
 
 @pytest.mark.parametrize(
@@ -290,18 +290,18 @@ NOBODY = "warning: no unit of env.yaml takes a recorded topic: only listeners ge
             TAKEN,
             [],
             [
-                "not played, since no target of env.yaml has the topic: /image, /other",
+                "/image, /other can't be played: no target of env.yaml has the topic",
                 f"{NOBODY} /result",
                 "camera was not recorded; give it a target and record again: {label: input, topic: /input, tag: Image}",
             ],
             ["--topic"],
         ),
-        (TAKEN + IMAGES, [], [f"{NOBODY} /image, /result", "play --topic /image only"], ["not recorded"]),
-        (TAKEN + IMAGES, ["--topic", "/image"], [], ["not played", "takes"]),
+        (TAKEN + IMAGES, [], [f"{NOBODY} /image, /result", "play only --topic /image"], ["not recorded"]),
+        (TAKEN + IMAGES, ["--topic", "/image"], [], ["can't be played", "uses"]),
         (
             TAKEN.replace("targets:", f"{COUNTER}targets:") + GOALS,
             [],
-            ["No unit of env.yaml takes /other: only listeners get that."],
+            ["No unit of env.yaml uses /other: only listeners receive it."],
             ["warning: no unit", "not recorded"],
         ),
         (
@@ -312,7 +312,7 @@ NOBODY = "warning: no unit of env.yaml takes a recorded topic: only listeners ge
         ),
     ],
 )
-def test_recorded_topics_that_no_unit_takes_are_told_with_the_mend(
+def test_recorded_topics_that_no_unit_uses_are_named_with_the_remedy(
     pictures: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,

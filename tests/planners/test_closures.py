@@ -1,4 +1,4 @@
-"""Each closure derives the same labels, as told by rule or by the judge, with the order, the costs or the streams."""
+"""Each closure derives the labels that the rule or the judge derives, with their order, costs or streams."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ PARTS = st.lists(st.integers(0, 9), max_size=3)
 
 @many
 @given(st.lists(st.tuples(st.booleans(), PARTS), min_size=10, max_size=10), st.sets(st.integers(0, 9)))
-def test_true_propositions_are_grounded_after_what_they_rest_on(
+def test_true_propositions_are_grounded_after_their_premises(
     rows: list[tuple[bool, list[int]]], true: set[int]
 ) -> None:
     support = Support()

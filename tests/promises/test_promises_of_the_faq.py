@@ -1,7 +1,7 @@
-"""What `manual/faq.md` promises, beyond what other tests of the manual hold.
+"""The promises of `manual/faq.md` that no other test of the manual checks.
 
-That `ctl` finds a run by its name, and that `ctl logs`, `ctl restart` and `--reload` do what they say, is asked by
-`tests/operating/test_run_in_operation.py`; that units end with a run that is killed, by `tests/runtime/test_faults.py`.
+`tests/operating/test_run_in_operation.py` checks that `ctl` finds a run by its name, and that `ctl logs`, `ctl restart`
+and `--reload` do what they say; `tests/runtime/test_faults.py` checks that units end with a run that is killed.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from cfgplan.errors import InputError
 
 
 class Helper:
-    """Answers each question by the next of its graphs, the last one again and again."""
+    """Answers each question with the next of its graphs; at the end, always with the last one."""
 
     def __init__(self, *graphs: Graph) -> None:
         self.graphs, self.asked = list(graphs), 0

@@ -379,14 +379,14 @@ def test_what_is_no_value_is_told_once_and_left_out(
     assert heard.next() == 7
     told = capsys.readouterr().out
     assert told.count("x: a message is not valid json, and is left out") == 1
-    assert "(it begins b'{'; `payload: text` takes it)" in told
+    assert "(it begins b'{'; `payload: text` accepts it)" in told
 
 
 @pytest.mark.parametrize(("payload", "form"), [(b"open", "text"), (b"\xff\xd8 a picture", "bytes"), (b"\0\1", "bytes")])
 def test_the_form_that_takes_an_unreadable_message_is_told(payload: bytes, form: str) -> None:
     told: list[str] = []
     assert PayloadReader("number", None, told.append).values("t", payload) == ()
-    assert f"(it begins {payload!r}; `payload: {form}` takes it)" in told[0]
+    assert f"(it begins {payload!r}; `payload: {form}` accepts it)" in told[0]
     assert PayloadReader(form, None, told.append).values("t", payload)
 
 

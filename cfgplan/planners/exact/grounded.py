@@ -116,7 +116,7 @@ class Grounded:
                 crowded.append(unit)
 
     def _offered(self, crowded: list[int]) -> Iterator[str]:
-        """Take units and streams in turn; yield each tag when its first stream is there.
+        """Process units and streams in order; yield each tag at its first stream.
 
         A `crowded` unit has too few streams for a distinct group so far; it is tried again after each stream.
         """

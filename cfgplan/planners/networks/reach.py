@@ -73,7 +73,7 @@ class Reach:
             waiting.setdefault(fact, []).append(label)
 
     def _start(self, ahead: list[int], each: Each = iter) -> None:
-        """Start labels whose needs hold, then those that they let start."""
+        """Start labels whose needs hold, then the labels that can start after them."""
         self.order += ahead
         for label, _ in derivations(self._held(each(ahead)), self._waiting, self._missing):
             ahead.append(label)

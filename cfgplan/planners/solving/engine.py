@@ -64,7 +64,7 @@ class ExactModel(CpModel):
 def repeatable_solver(*, small: bool, tiny: bool = False, time_limit_s: float | None) -> CpSolver:
     """A solver with one worker, which is repeatable, and full linearisation (the default proves 10 times as slowly).
 
-    In `small` models, probing and looking for symmetries take longer than they save, in `tiny` ones also presolving
+    In `small` models, probing and looking for symmetries take longer than they save. In `tiny` ones, so does presolving
     more than once.
     """
     solver = CpSolver()

@@ -1,4 +1,4 @@
-"""Failures of a unit's steps as messages: a new failure at once, its repeats as counts that come ever less often."""
+"""Reports of failed steps: a new failure is reported at once, its repeats as counts at growing intervals."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cfgplan_runtime.errors import EncodingError, WrongPortsError
 _FIRST_PAUSE_NS, _LONGEST_PAUSE_NS = 500_000_000, 60_000_000_000
 """Repeats are reported after the first pause, then after pauses that double up to the longest."""
 _MOST_FAULTS = 20
-"""Different failures that a unit may have at a time; further ones count as repeats of the last of these."""
+"""The number of different failures that a unit reports; any further one counts as a repeat of the last of these."""
 _KINDS_OF_END = ((WrongPortsError, "wrong ports"), (EncodingError, "can't be sent"))
 _FIGURE = re.compile(r"\d+")
 
@@ -33,7 +33,7 @@ class _Repeated:
 class Failures:
     """Decides when a unit's failures are reported.
 
-    Two failures are the same if their exceptions have one type, come from one line of code, and differ in figures only.
+    Two failures are the same if their exceptions have one type, come from one line of code, and differ only in figures.
     """
 
     def __init__(self) -> None:
@@ -54,7 +54,7 @@ class Failures:
         return Trouble(kind, step, text)
 
     def due(self, now_ns: int, *, is_last: bool = False) -> Iterator[Trouble]:
-        """Yield a report for each failure whose repeats are due; for each with repeats if it is the last call."""
+        """Yield a report for each failure whose repeats are due; at the last call, for each failure with repeats."""
         for known in self._known.values():
             if known.repeats and (is_last or now_ns >= known.due_ns):
                 yield Trouble(known.kind, known.step, known.text, known.repeats)

@@ -19,8 +19,8 @@ from cfgplan_runtime.streams.element import BEFORE_ALL, Element, Moment
 from cfgplan_runtime.streams.inlet import port_of
 
 _MOST_HELD_NS = 5_000_000_000
-"""Nanoseconds after which a unit that waits for a state keeps few elements, and a source that has told its state goes
-on: the supervisor may be gone, and the next one undoes the hand-over.
+"""Nanoseconds after which a unit that waits for a state keeps few elements, and a source that has sent its state
+continues: the supervisor may be gone. The next supervisor undoes the hand-over.
 """
 _MOST_HELD = 4096
 """The most elements that an inlet keeps: four seconds at 1,000 Hz."""
@@ -37,9 +37,9 @@ class Handover:
         """By inlet the elements that the steps have not got yet; None if they get each at once."""
         self._most = _MOST_HELD
         self.is_waiting = False
-        """Whether no step may begin, since the state has not come."""
+        """Whether the unit waits for its state; no step begins before it comes."""
         self._late_ns = 0
-        """From when on a waiting unit keeps few elements."""
+        """The time from which on a waiting unit keeps few elements."""
         self._begun: Collection[str] | None = None
         """The inlets that must have received an element before the places are told; None if nobody asks."""
         self._asked: Mapping[str, Moment] | None = None
@@ -68,7 +68,7 @@ class Handover:
     def keep(self, inlet: str, element: Element, *, may_drop: bool) -> None:
         """Keep an element for later steps. Without room the oldest of its inlet is dropped, if it `may_drop`.
 
-        A unit whose state is late drops in any case: it must not stop those that feed the unit before it, too.
+        A unit whose state is late always drops: it must not block sources that also feed the unit that it replaces.
         """
         assert self._held is not None
         kept, is_late = self._held.setdefault(inlet, deque()), self._is_late

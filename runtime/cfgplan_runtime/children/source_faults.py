@@ -26,7 +26,7 @@ from cfgplan_runtime.children.program_source import ProgramSource
 _FORM = "write package.module:Class or units.py:Class"
 _MOST_NAMED = 6
 _OWN = "cfgplan_runtime."
-"""Begins the names of the modules with cfgplan's own unit code."""
+"""The prefix of the modules with cfgplan's own unit code."""
 _Definition = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
 _DYNAMIC = frozenset({"__getattr__", "exec", "eval", "globals", "setattr", "vars", "locals"})
 """Names by which a module may define others at run time."""
@@ -104,7 +104,7 @@ def _check_python(transformation: Transformation, source: str, folder: Path) -> 
 
 
 def _check_own(transformation: Transformation, place: str, name: str) -> None:
-    """Raise InputError if unit code of cfgplan itself does not take the params. It may be imported before a run."""
+    """Raise InputError if cfgplan's own unit code does not accept the params. It may be imported before a run."""
     module = importlib.import_module(place)
     check = getattr(getattr(module, name, None), "check_params", None)
     if check is not None:

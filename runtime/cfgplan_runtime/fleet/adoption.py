@@ -37,7 +37,7 @@ class Adoption:
 
     `units` (including stopping ones) and `spares` map ids to hosts; `topics` has for each topic the host that was asked
     for and the host where it is. `ended` has the ids of the units that this manager is the first to end,
-    without those that a hand-over of their state ends.
+    except those that end by a hand-over of their state.
     """
 
     found: Found | None
@@ -57,7 +57,7 @@ def adopt(
     states: Mapping[str, Mapping[str, HeldState]] = MappingProxyType({}),
 ) -> Adoption:
     """Keep the units that `library` would start in the same way, and the wires between them. The others are told to
-    stop. A hand-over of a state that was under way is finished if the new unit has the state, and undone otherwise.
+    stop. An unfinished hand-over of a state is finished if the new unit has the state, and undone otherwise.
 
     `held` has the units and wires of each host, and `states` its last states. Hosts that were cut off from each other
     may have units, spares or topics of the same name: those of the latest manager are kept. The names of later
@@ -119,7 +119,7 @@ def _stopping(held: Mapping[str, Held]) -> dict[str, str]:
 def failures_kept(
     host: str, held: Held, library: Mapping[str, Transformation], folder: Path
 ) -> list[events.FailuresKept]:
-    """The failures on a host of the transformations that would be started in the same way now, with the same code."""
+    """The failures on a host of the transformations whose start order and code have not changed."""
     return [
         events.FailuresKept(label, host, one.number, max(0.0, one.left_s - (held.now_s - one.at_s)), one.cause)
         for label, one in sorted(held.failures.items())
@@ -140,8 +140,8 @@ def code_digest(transformation: Transformation, folder: Path) -> str | None:
 
 
 def _handovers(held: Mapping[str, Held]) -> tuple[set[tuple[str, str]], dict[str, str]]:
-    """The hand-overs of states under way: (host, id) of new units that still wait for the state of a unit that runs,
-    and the host of each unit by id whose state a new, connected one has.
+    """The unfinished hand-overs of states: (host, id) of each new unit that still waits for the state of a running
+    unit, and by id the host of each unit whose state a new, connected unit already has.
     """
     by_name = defaultdict[str, dict[tuple[str, str], HeldUnit]](dict)
     for host, one in held.items():
@@ -161,7 +161,7 @@ def _handovers(held: Mapping[str, Held]) -> tuple[set[tuple[str, str]], dict[str
 
 
 def _states_given(held: Mapping[str, Held], kept: Mapping[str, str], states: Mapping[str, bytes]) -> Iterator[OrderTo]:
-    """Yield orders that let kept units begin which wait for a state: the unit before them is gone, too."""
+    """Yield orders that let waiting kept units begin: the unit whose state they wait for is gone."""
     for unit, host in kept.items():
         known = held[host].units[unit]
         if known.handover == "waits":

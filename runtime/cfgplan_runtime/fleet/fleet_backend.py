@@ -358,9 +358,9 @@ class FleetBackend:
             self._presence.say(host, order)
 
     def _settle_failures(self, host: presence.HostState) -> None:
-        """Report the failures that a joined host has kept for this manager; a host that is back gets the present ones.
+        """Report the failures that a joined host has kept for this manager; send a host that is back the present ones.
 
-        Failures of transformations that would be started in another way now are forgotten.
+        Failures of transformations whose start order or code has changed are forgotten.
         """
         known, kept = (
             self._failures.get(host.name, {}),

@@ -50,7 +50,7 @@ class LeftUnits:
 
 
 def left_units(fleet: Fleet, environment: Environment, folder: Path) -> LeftUnits:
-    """Look at what runs on the hosts of an environment, and change nothing. Hosts that do not answer have nothing.
+    """Find the units on the hosts of an environment, and change nothing. Hosts that do not answer have none.
 
     Sources such as `units.py:Class` are relative to `folder`.
     """

@@ -33,7 +33,7 @@ _HASTE = 5
 _PATIENT_PERIODS = 2
 """An agent is silent if no answer has come for so many periods. A lossless link answers once a period."""
 _ROUND_TRIPS, _LEAST_PATIENCE_S = 4, 0.02
-"""An agent that is asked because its links have ended answers within so many round trips, or within 20 ms."""
+"""An agent whose links have ended must answer within so many round trips, but has at least so many seconds."""
 _SECRET_BYTES, _MOST_BYTES = 16, 256
 
 
@@ -152,7 +152,7 @@ class _Asked:
     due_s: float
     chosen: tuple[str, int] | None = None
     round_trip_s: float | None = None
-    """From the last question that was answered to its answer."""
+    """The seconds from the last answered question to its answer."""
     open: dict[int, float] = field(default_factory=dict)
     """The questions without an answer, with their times."""
 
@@ -186,7 +186,7 @@ class Asking:
         self._waker.wake()
 
     def ask_at_once(self, name: str) -> float:
-        """Ask an agent now, and often until it answers. Thread-safe.
+        """Ask an agent at once, and repeatedly until it answers. Thread-safe.
 
         Returns the seconds within which an answer has to come; 0 if it has never answered.
         """

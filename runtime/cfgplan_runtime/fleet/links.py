@@ -115,7 +115,7 @@ class Pulse:
     ended_s: float = -inf
     """The time at which its links ended last."""
     gone_s: float = inf
-    """Since its links have ended, it is lost at this time, unless it gives a sign of life or answers before."""
+    """The time at which a host whose links have ended is lost, unless it gives a sign of life or answers before."""
 
     def note(self, now_s: float) -> None:
         """Note a sign of life."""

@@ -232,7 +232,7 @@ class HeldUnit(msgspec.Struct):
     it. It was started at `since_s` on the host's clock.
 
     `handover` is its part in the last hand-over of a state: a new unit waits for the state and then has it; the unit
-    before it is asked for the state.
+    that it replaces is asked for the state.
     """
 
     label: str
@@ -271,8 +271,8 @@ class Held(msgspec.Struct):
     """The units, wires and topics of an agent's host; `term` is that of the manager before the present one.
 
     `topics` has the host that each topic's target asked for. `now_s` is the present time of the host's monotonic clock.
-    `failures` has the failures on this host by the label of the transformation. No wire has had a higher number than
-    `last_wire`; an inlet may still have the one before its newest wire.
+    `failures` has the failures on this host by the label of the transformation. The highest number of a wire so far is
+    `last_wire`; an inlet may still use the wire before its newest one.
     """
 
     term: int = 0

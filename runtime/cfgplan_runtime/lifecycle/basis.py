@@ -46,8 +46,8 @@ class Preview:
     basis: Basis
 
     def holds_for(self, plan_input: PlanInput) -> bool:
-        """Whether a review of this input would plan the same: basis, facts and avoided transformations are equal, and
-        no transformation backs off on some hosts, which a plan that was shown before the run does not know.
+        """Whether a review of this input would give the same plan: basis, facts and avoided transformations are equal,
+        and no transformation backs off on single hosts, which the preview does not record.
         """
         return (
             not staleness(self.basis, basis_of(plan_input.world, plan_input.running))

@@ -123,7 +123,7 @@ def decide(state: State, happened: TimedInput) -> tuple[State, tuple[Effect, ...
 
 
 def _to_remember(before: State, transition: Transition) -> Iterator[Effect]:
-    """Yield the failures that have changed, without refusals, which every manager finds again."""
+    """Yield an effect for each change of failures. Refusals are left out: every manager finds them again."""
     back_offs, library = transition.state.situation.back_offs, transition.state.version.world.environment.transformation
     for place in sorted(back_offs.changed_since(before.situation.back_offs), key=str):
         record = back_offs.records.get(place)

@@ -182,8 +182,8 @@ class Deliberation:
     ) -> Looked:
         """Plan a look at the first place that a plan would use if its outputs had the hoped deviations.
 
-        The new units feed no topic. `unmet` has the targets that are not met now, with the reasons. On hosts, the hope
-        of a place without a host counts only where the transformation has no `known` place.
+        The new units feed no topic. `unmet` has the targets that are not met now, with the reasons. The hope of a
+        place without a host counts only on hosts where the transformation has no `known` place.
         """
         self._stop, tried, left = stop, list[Place](), dict(hopes)
         while left:  # if no look is worth its cost, a single plan shows it
@@ -379,8 +379,8 @@ def _asking_less(problem: Problem) -> Iterator[tuple[Problem, str]]:
 
 
 def _new_there(findings: Findings, place: Place, known: Collection[Place]) -> list[ComputationUnit]:
-    """Return the units that an update starts at a place (without a host: anywhere but at `known` places); none if it
-    is not worth it.
+    """Return the units that an update starts at a place (without a host: anywhere but at `known` places); none if
+    the update is not worth it.
     """
     if findings.change_set is None or findings.decision is not Decision.APPLIED:
         return []

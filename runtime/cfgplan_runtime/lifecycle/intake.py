@@ -218,7 +218,7 @@ def _unnoted(transition: Transition, unit: str) -> Transition:
 
 
 def _found(transition: Transition, unit: str, age_s: float) -> Transition:
-    """Record a unit that an earlier manager has left, with its age: a short life makes failures count in a row."""
+    """Record the age of a unit that an earlier manager has left: failures after a short life count in a row."""
     running, situation = transition.state.running, transition.state.situation
     found = [one for one in running.units if one.id == unit]
     return transition.situated(situation.with_started(found, running, transition.at_s - age_s))

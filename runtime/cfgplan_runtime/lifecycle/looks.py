@@ -55,13 +55,13 @@ class Looks:
     """When the next look at each place is due, and the look under way."""
 
     pauses: Mapping[Place, Pause] = field(default_factory=dict)
-    """By place, also if its look observed nothing; the first look at a host counts also for the other new hosts."""
+    """By place, also if its look observed nothing. A first look at a host also counts for the place without one."""
     idle: Idle = field(default_factory=lambda: Idle(0.0))
     """The last time when no look was taken; at first, the start of the run."""
     impossible: frozenset[Place] = frozenset()
     """The places for whose last look there was no room, or whose transformation shares a named state with another."""
     places: tuple[Place, ...] = ()
-    """The place that is looked at; at the first look there, also the place without a host."""
+    """The place of the look; at the first look there, also the place without a host."""
     units: tuple[str, ...] = ()
     """The units of the look."""
     since_s: float = 0.0
@@ -128,7 +128,7 @@ class Looks:
         return replace(self, units=units, since_s=at_s, until_s=at_s + LOOK_S)
 
     def ending(self, running: Environment, seen: SeenQualities, at_s: float) -> Looks:
-        """End a look now that has found something new, unless it has still to observe other outputs."""
+        """End a look that has found something new, unless it still has to observe other outputs."""
         return replace(self, until_s=at_s) if self._has_seen_all(running, seen) else self
 
     def longer(self, running: Environment, seen: SeenQualities) -> Looks:
@@ -164,7 +164,7 @@ class Looks:
 
 
 def _counting(place: Place, known: Collection[Place]) -> tuple[Place, ...]:
-    """Return the places for which a look at a place counts: it, and if it was not `known`, the one without a host."""
+    """Return the places for which a look counts: its own, and if that was not `known`, the one without a host."""
     return (place,) if place in known or place.host is None else (place, Place(place.label))
 
 
@@ -180,9 +180,9 @@ def last_seen_s(
 ) -> dict[Place, float]:
     """Return when each place that a look can observe was last observed; -inf if it never was.
 
-    A transformation has the `known` places, and one without a host while there are hosts where it may run and that are
-    not known. Places of running units are left out; so are losses, which are measured only at subscribers, and
-    qualities that a topic tells of a transformation while it runs elsewhere: they would be those of the other host.
+    A transformation has its `known` places, and one without a host while it may run on hosts that are not known. Three
+    things are left out: places of running units; losses, which are measured only at subscribers; and qualities that a
+    topic tells of a transformation that runs elsewhere, since they would be those of the other host.
     """
     runs = {Place(unit.transformation, unit.host) for unit in running.units if not unit.standby}
     running_labels, known_on = {place.label for place in runs}, dict[str, set[str | None]]()

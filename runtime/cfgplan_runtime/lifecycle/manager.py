@@ -50,7 +50,7 @@ from cfgplan_runtime.lifecycle.kinds import Urgency, kind_of
 from cfgplan_runtime.lifecycle.perturbations import Started
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Report, Snapshot, TargetView, UnitEvent
-from cfgplan_runtime.lifecycle.seams import DeclaredCosts, Estimator, Middleware, Outlived, SystemClock, TimeSource
+from cfgplan_runtime.lifecycle.seams import DeclaredCosts, Estimator, FailureStore, Middleware, SystemClock, TimeSource
 from cfgplan_runtime.lifecycle.state import State
 from cfgplan_runtime.lifecycle.stream_qualities import quality_views
 from cfgplan_runtime.lifecycle.supposing import Supposing
@@ -324,7 +324,7 @@ class Manager:
             case transitions.LearnOfFailure(place):
                 self._estimator.failed(place.label, self._clock.now(), place.host)
             case transitions.Remember(place, failures):
-                if isinstance(self._middleware, Outlived):
+                if isinstance(self._middleware, FailureStore):
                     with suppress(RuntimeFaultError):  # it is closed, and its units died of that
                         self._middleware.remember(place.label, place.host, failures)
             case transitions.MakePlan():

@@ -131,7 +131,7 @@ class LinkMeasured(Perturbation, frozen=True):
 
 class LookDue(Perturbation, frozen=True):
     """A transformation that may be better than the running ones runs for some seconds, to observe its quality. `host`
-    is the host of this look; null without hosts.
+    is the host of this look; null if the environment has no hosts.
     """
 
     transformation: str

@@ -59,8 +59,8 @@ class Middleware(Protocol):
 
 
 @runtime_checkable
-class Outlived(Protocol):
-    """A middleware whose units may outlive a manager, which the next one then continues with."""
+class FailureStore(Protocol):
+    """A middleware that keeps failures for the next manager, since its units may outlive the present one."""
 
     def remember(self, label: str, host: str | None, failures: Failures | None) -> None:
         """Keep the failures of a transformation on a host for the next manager, which gets them as FailuresKept; None:

@@ -61,7 +61,7 @@ def look_learned(transition: Transition) -> Transition:
 
 
 def _planned_with(transition: Transition, now: Mapping[Statement, int]) -> Transition:
-    """Plan with other deviations from now on, and tell which ones have changed."""
+    """Plan with these deviations from now on, and report the qualities that have changed."""
     situation, before = transition.state.situation, transition.state.situation.qualities
     said_now = _world_now(transition.state).with_qualities(now).qualities_now
     changed = sorted((one for one in now.keys() | before.keys() if now.get(one) != before.get(one)), key=str)

@@ -173,7 +173,7 @@ class MakeLook(Effect, frozen=True):
     """By place, in the order in which looks are due: the deviations that outputs may have there."""
     unmet: Mapping[str, str]
     known: frozenset[Place]
-    """The places on hosts for which the hopes of places without a host do not count."""
+    """The known places on hosts: the hope of a place without a host does not count there."""
 
 
 class ApplyUpdate(Effect, frozen=True):

@@ -271,17 +271,17 @@ def _no_longer() -> Any:
 
 
 def parameters() -> list[str]:
-    """Return the names of a connection's parameters, without the broker and what units have of their own."""
+    """Return the names of a connection's parameters, except for the broker and those that units set themselves."""
     return [name for name in inspect.signature(Connection).parameters if name not in ("broker", "say", "will")]
 
 
 def check_broker(broker: str) -> None:
-    """Raise InputError for what is not the address of a broker."""
+    """Raise InputError if this is not the address of a broker."""
     _address(broker)
 
 
 def is_same_broker(one: str, other: str) -> bool:
-    """Return whether two addresses are of one broker, as far as they show it; False for what is no address."""
+    """Return whether two addresses have the same host and port; False if one of them is not an address."""
     try:
         first, second = _address(one), _address(other)
     except InputError:

@@ -64,7 +64,7 @@ class Listening:
         if found.is_empty:
             of = "" if self._asked == ("#",) else f" on {some(self._asked)}"
             mend = "listen longer (--for 60s), or name other topics (--topic)"
-            mend += "; MQTT tells `house/#` from `/house/#`" if of else ""
+            mend += "; `house/#` and `/house/#` are different topics in MQTT" if of else ""
             raise InputError.of(f"nothing came from {name}{of} in {span_s:g} s", mend=mend)
         return found
 

@@ -50,7 +50,7 @@ class MqttTargets:
         self._connection.open(keeps_session=True)
 
     def wanted(self, environment: Environment) -> tuple[Target, ...]:
-        """All targets with a topic that no source of the run hears; the others are reported."""
+        """All targets with a topic to which no source of the run subscribes; the others are reported."""
         wanted = []
         for target in environment.stream_targets:
             try:
@@ -115,14 +115,14 @@ def check_targets(environment: Environment, broker: str) -> None:
 
 
 def _check_unheard(target: Target, environment: Environment, broker: str) -> None:
-    """Raise InputError if a source of the run hears a target's topic at the broker."""
+    """Raise InputError if a source of the run subscribes to a target's topic at the broker."""
     from paho.mqtt.client import topic_matches_sub
 
     topic = target.topic
     for label, heard in _heard(environment, broker):
         if topic_matches_sub(heard, topic):
-            echo = f"{label} subscribes to {heard} there: the run would hear what it publishes, and publish it again"
-            mend = f"publish it elsewhere, such as `topic: cfgplan/{topic.strip('/') or target.label}`"
+            echo = f"{label} subscribes to {heard} there: the run would receive its own values, and publish them again"
+            mend = f"choose another topic, such as `topic: cfgplan/{topic.strip('/') or target.label}`"
             raise InputError.of(f"the topic {topic} can't be published at {broker}, since {echo}", mend=mend)
 
 

@@ -40,11 +40,11 @@ class PayloadReader:
 
 
 def _other_form(payload: bytes) -> str:
-    """Return which form takes a payload that another one does not."""
+    """Return the form that accepts a payload which another form rejects, as a hint."""
     try:
-        return f"`payload: {'text' if payload.decode().isprintable() else 'bytes'}` takes it"
+        return f"`payload: {'text' if payload.decode().isprintable() else 'bytes'}` accepts it"
     except UnicodeDecodeError:
-        return "`payload: bytes` takes it"
+        return "`payload: bytes` accepts it"
 
 
 def check_form(form: str) -> None:

@@ -36,10 +36,10 @@ def only_value(inputs: Mapping[str, object]) -> object:
 def check_call(
     kind: Callable[..., Any], protocol: str, connection: Iterable[str], params: Mapping[str, object]
 ) -> None:
-    """Raise InputError for params that a class of unit code does not take, lacks, or can't read.
+    """Raise InputError if params are unknown to a class of unit code, missing, or have a wrong value.
 
-    Its texts must be texts, and `payload` a known form. `connection` are the names of the params that the class passes
-    on to its connection.
+    Params of type `str` must be texts, and `payload` a known form. `connection` are the names of the params that the
+    class passes on to its connection.
     """
     own = [one for one in inspect.signature(kind).parameters.values() if one.kind is not one.VAR_KEYWORD]
     check_names(protocol, [*(one.name for one in own), *connection], params)

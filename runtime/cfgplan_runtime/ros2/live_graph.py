@@ -24,7 +24,7 @@ from cfgplan_runtime.ros2.ros_python import ros_python
 
 _PATIENCE_S = 60.0
 _MOST_LOOKS = 4
-"""Looks at a graph that lacks a node whose process is here. Each takes 2 to 10 s."""
+"""How often a graph is read that lacks a node of this computer. Each reading takes 2 to 10 s."""
 _ROS_ARGUMENTS, _ROS_END = "--ros-args", "--"
 _RENAMES = ("-r", "--remap")
 _NO_PARAMETERS = ("qos_overrides.", "start_type_description_service")
@@ -84,8 +84,8 @@ class Graph(msgspec.Struct, tag=True):
 def live_graph(python: str | None = None) -> RosGraph:
     """The graph of the domain of ROS_DOMAIN_ID, as the Python that has rclpy sees it.
 
-    Looks again while a process of this computer is a node that the graph lacks, as it is while nodes start. Raises
-    InputError if no such Python is found (see `ros_python`), if ROS does not answer there, or if there is no node.
+    Reads the graph again while it lacks a node that a process of this computer runs, as it does while nodes start.
+    Raises InputError if no such Python is found (see `ros_python`), if ROS does not answer, or if the graph is empty.
     """
     link: HostLink[FromHost | Graph] = HostLink(ros_python(python), f"_cfgplan_import_{os.getpid()}", FromHost | Graph)
     rmw = ""
@@ -115,14 +115,14 @@ def _look(link: HostLink[FromHost | Graph]) -> tuple[Graph, str]:
 
 
 def _unseen(told: Graph, running: Mapping[str, NodeProcess]) -> list[str]:
-    """The nodes that processes of this computer are, and the graph lacks."""
+    """The nodes that processes of this computer run, but the graph lacks."""
     return sorted(running.keys() - {node.name for node in told.nodes})
 
 
 def _nothing_seen(rmw: str, running: Mapping[str, NodeProcess]) -> InputError:
     place = f"the ROS 2 domain {_domain()} ({rmw})"
     if running:
-        mend = "import again in some seconds; if they stay away, compare RMW_IMPLEMENTATION with theirs"
+        mend = "import again in some seconds; if they are still missing, compare RMW_IMPLEMENTATION with theirs"
         return InputError.of(f"{place} shows no node yet, though {some(sorted(running))} run here", mend=mend)
     mend = "start the nodes first, with the same ROS_DOMAIN_ID and RMW_IMPLEMENTATION"
     return InputError.of(f"there is no node in {place}", mend=mend)

@@ -171,7 +171,7 @@ def remove_dead_runs(base: Path) -> None:
 
 
 def no_such_run(wanted: str | None, live: Sequence[Path], listed: str) -> str:
-    """The words for a run that is not live beside those that are, with the name that may be meant."""
+    """The message that no live run is the `wanted` one, with the name that may be meant and the live runs."""
     named = did_you_mean(wanted or "", [name_of(run) or run.name for run in live])
     return f"no run {wanted!r} is live{f' ({named})' if named else ''}; live runs: {listed}"
 

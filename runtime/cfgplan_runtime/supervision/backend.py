@@ -90,7 +90,7 @@ class Found:
     `labor_us` has the units that are ready, and the cold spares that are prepared; `topics` the host of each topic's
     target. `stopping` has by id the units that were told to stop and have not ended; apart from it, only wires name
     them. `states` has the last state of each state's name, and `ages_s` the seconds since each unit was started.
-    No wire has had a higher number than `last_wire`.
+    `last_wire` is the highest number of a wire so far.
     """
 
     units: tuple[ComputationUnit, ...]
@@ -107,9 +107,9 @@ class Found:
 
 @dataclass(frozen=True, slots=True)
 class Failures:
-    """The `number` of failures in a row of a transformation on a host, of which the last had this `cause`.
+    """A transformation has failed `number` times in a row on a host; `cause` is that of the last failure.
 
-    It must not be started there for `left_s` seconds.
+    It must not be started there for another `left_s` seconds.
     """
 
     transformation: Transformation

@@ -59,8 +59,8 @@ class SpareLost(Event, frozen=True):
 class UnitFailed(Event, frozen=True):
     """Unit code has failed in a step, and the unit continues.
 
-    If `suppressed` is not 0, the event stands for that many repeats of an earlier failure, up to this step; `text` is
-    the first one's. Repeats are reported once a second at first, then less and less often, down to once a minute.
+    If `suppressed` is not 0, the event reports that many repeats of an earlier failure, up to this step; `text` is that
+    of the first failure. Repeats are reported at intervals that grow from one second to one minute.
     """
 
     unit: str
@@ -260,9 +260,9 @@ class UnitFound(Event, frozen=True):
 
 
 class FailuresKept(Event, frozen=True):
-    """A host tells the next manager that a transformation has failed there so many times in a row (`number`).
+    """A host tells the next manager that a transformation has failed there `number` times in a row.
 
-    The transformation must not be started there for `left_s` seconds; `cause` is that of the last failure.
+    It must not be started there for another `left_s` seconds; `cause` is that of the last failure.
     """
 
     transformation: str

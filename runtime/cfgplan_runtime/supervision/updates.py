@@ -387,7 +387,7 @@ class _Update:
                 yield Disconnect(inlet)
 
     def heirs(self) -> dict[str, str]:
-        """The fresh units that go on with the state of a unit that ends, those upstream first, each with that unit."""
+        """The fresh units that continue with the state of an ending unit, upstream units first, each with that unit."""
         actual, ending = self.actual, self.actual.alive & set(self.change_set.stopped)
         old = {
             name: unit.id
