@@ -259,6 +259,9 @@ BROKER = "localhost:1883"
         ("zenoh:Subscriber", {"key_expr": "a", "with_kye": True}, "did you mean `with_key`?"),
         ("zenoh:Publisher", {}, "`params` has no `key_expr`"),
         ("http:Poller", {"url": "http://a", "payloda": "text"}, "did you mean `payload`?"),
+        ("mqtt:Subscriber", {"broker": "mqtt://[::1]", "topic": "a"}, ""),
+        ("http:Poller", {"url": "http://["}, "`http://[` is not the URL of a resource"),
+        ("http:Poller", {"url": "http://a:b"}, "`http://a:b` is not the URL of a resource"),
         ("http:Poller", {"url": "http://a", "payload": "text", "token_env": "T"}, ""),
     ],
 )

@@ -305,7 +305,8 @@ def _address(broker: str) -> Any:
         raise InputError.of("the address of a broker can't hold the name and password", mend=mend)
     if port is not None:
         return found
-    return found._replace(netloc=f"{found.hostname}:{_PORTS[found.scheme]}")
+    host = f"[{found.hostname}]" if ":" in found.hostname else found.hostname
+    return found._replace(netloc=f"{host}:{_PORTS[found.scheme]}")
 
 
 def _context(ca: str | None, certificate: str | None, key: str | None) -> ssl.SSLContext:
