@@ -200,9 +200,11 @@ def _tell_untagged(found: Recorded, options: argparse.Namespace, targets: list[T
 
 def _tell_untaken(world: World, sources: tuple[Transformation, ...], env: str, screen: Screen) -> None:
     """Warn of recorded topics that no unit takes in the plan of a replay, and of sources that were not recorded."""
+    from cfgplan_runtime.lifecycle.policy import Policy
+
     from cfgplan import api
 
-    problem, plan = api.solve(world)
+    problem, plan = api.solve(world, time_limit_s=Policy().time_limit_s)
     if plan.change_set is None:
         return  # the run says why
     played = {source.label: str(source.params["topic"]) for source in sources}

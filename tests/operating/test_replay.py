@@ -16,6 +16,7 @@ import numpy
 import pytest
 from cfgplan_runtime import subscribe
 from cfgplan_runtime.children.unit_code import At
+from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.operating.messages import messages
 from cfgplan_runtime.operating.recorded import recorded, values
 from cfgplan_runtime.operating.recording import Recording
@@ -24,6 +25,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from operated_world import ONTOLOGY, PATIENCE_S, await_event, command, running, write_world
 
+from cfgplan import api
 from cfgplan.cli import main, replay
 from cfgplan.errors import InputError
 
@@ -353,6 +355,23 @@ def test_a_recording_begins_seconds_after_the_plan_whose_topics_are_told_was_mad
     monkeypatch.setattr(replay, "_play", play)
     assert main(["replay", str(pictures), "env.yaml"]) == 0
     assert re.findall(r"begin_ns: (\d+)", played[0]) == [f"{63 * 10**9}"]
+
+
+def test_the_plan_that_warnings_need_does_not_keep_a_replay_waiting(
+    pictures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    solve, limits = api.solve, list[float | None]()
+
+    def solved(world: api.World, *, time_limit_s: float | None = None) -> api.Solved:
+        limits.append(time_limit_s)
+        return solve(world, time_limit_s=time_limit_s)
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "env.yaml").write_text(TAKEN)
+    (tmp_path / "field.ttl").write_text(ONTOLOGY)
+    monkeypatch.setattr(api, "solve", solved)
+    assert main(["replay", str(pictures), "env.yaml", "--out", "part.yaml"]) == 0
+    assert limits == [Policy().time_limit_s], "as in a run"
 
 
 def test_a_replay_counts_the_topics_that_it_plays(pictures: Path, capsys: pytest.CaptureFixture[str]) -> None:
