@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
@@ -275,3 +276,12 @@ def test_params_of_ready_made_units_are_checked_before_they_start(
     fault = told(tmp_path, transformation(f"cfgplan_runtime.{source}", *inputs, **params))
     assert says in fault
     assert bool(fault) == bool(says)
+
+
+def test_a_module_of_cfgplan_that_can_not_be_imported_here_is_a_fault(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "rclpy", None)
+    monkeypatch.delitem(sys.modules, "cfgplan_runtime.ros2.host.qos", raising=False)
+    fault = told(tmp_path, transformation("cfgplan_runtime.ros2.host.qos:Profile"))
+    assert "cfgplan_runtime.ros2.host.qos can't be imported" in fault
