@@ -88,15 +88,15 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="cfgplan-replay-")))
         before = _recorded_world(found, folder)
         env = None if options.env is None else api.load(options.env)
-        begin_ns = None if options.out else time.time_ns() + int(_BEGINS_S * 1e9)
         targets = _targets(found, options.topic, env or before)
-        sources = tuple(_source(found, target, options, begin_ns) for target in targets)
-        played = _fed(env, sources) if env else _alone(before, sources, targets)
+        sources = tuple(_source(found, target, options) for target in targets)
         if env:
             _tell_untagged(found, options, targets, screen)
-            _tell_untaken(played, sources, options.env, screen)
+            _tell_untaken(_fed(env, sources), sources, options.env, screen)
         if options.out:
             return _write_part(sources, options, screen)
+        sources = _beginning(sources, time.time_ns() + int(_BEGINS_S * 1e9))
+        played = _fed(env, sources) if env else _alone(before, sources, targets)
         path = _write_world(played, env or before, folder)
         screen.note(f"Playing {counted(len(sources), 'topic')} of {found.path.name}.")
         return _play(path, found, options, screen)
@@ -164,10 +164,9 @@ def _targets(found: Recorded, wanted: list[str], world: World | None) -> list[Ta
     return targets
 
 
-def _source(found: Recorded, target: Target, options: argparse.Namespace, begin_ns: int | None) -> Transformation:
+def _source(found: Recorded, target: Target, options: argparse.Namespace) -> Transformation:
     params: dict[str, object] = {"file": str(found.path.resolve()), "topic": target.topic}
     params |= {"speed": options.speed} if options.speed != 1 else {}
-    params |= {"begin_ns": begin_ns} if begin_ns is not None else {}
     params |= {"loop": True} if options.loop else {}
     return Transformation(
         f"recorded({target.topic})",
@@ -177,6 +176,11 @@ def _source(found: Recorded, target: Target, options: argparse.Namespace, begin_
         source="cfgplan_runtime.replay:Source",
         params=params,
     )
+
+
+def _beginning(sources: tuple[Transformation, ...], begin_ns: int) -> tuple[Transformation, ...]:
+    """The sources with one beginning, so that they stay in step."""
+    return tuple(replace(source, params={**source.params, "begin_ns": begin_ns}) for source in sources)
 
 
 def _fed(world: World, sources: tuple[Transformation, ...]) -> World:
@@ -196,9 +200,11 @@ def _tell_untagged(found: Recorded, options: argparse.Namespace, targets: list[T
 
 def _tell_untaken(world: World, sources: tuple[Transformation, ...], env: str, screen: Screen) -> None:
     """Warn of recorded topics that no unit uses in the plan of a replay, and of sources that were not recorded."""
+    from cfgplan_runtime.lifecycle.policy import Policy
+
     from cfgplan import api
 
-    problem, plan = api.solve(world)
+    problem, plan = api.solve(world, time_limit_s=Policy().time_limit_s)
     if plan.change_set is None:
         return  # the run says why
     played = {source.label: str(source.params["topic"]) for source in sources}

@@ -559,8 +559,8 @@ SUPERVISION = _room(
     (
         "an undone update leaves new units",
         "updates.py",
-        "sorted({*self.started, *failed} - kept)",
-        "sorted({*failed} - kept)",
+        "ending = {*self.started, *failed} - kept",
+        "ending = {*failed} - kept",
     ),
     (
         "an undone update leaves its wires",

@@ -288,7 +288,7 @@ class Soak:
         _await(lambda: self.operation.manager.settle(1.0) and not self.unmet(), f"unmet: {self.unmet()}")
 
     def read_news(self) -> None:
-        """Read and forget the reports that have come, as the command does: unread ones take memory."""
+        """Read and forget the reports that have come, so that unread ones take no memory."""
         for unread in (self.operation.news, self.operation.runtime.events):
             with suppress(queue.Empty):
                 while True:

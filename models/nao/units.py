@@ -71,7 +71,8 @@ class ExposedCam(BottomCam):
 
         picture = self.picture(time_ns)
         light = float(np.median(picture[::8, ::8, 0])) / DAYLIGHT_LUMA
-        return WithQuality(picture, {"error": float(np.interp(light, *zip(*ERROR_BY_LIGHT, strict=True)))})
+        lights, errors = zip(*ERROR_BY_LIGHT, strict=True)
+        return WithQuality(picture, {"error": float(np.interp(light, lights, errors))})
 
 
 class Photometer:

@@ -101,9 +101,14 @@ def _authorization(
 
 def _checked(url: str) -> str:
     """The URL of a resource. Raises InputError."""
-    address = urlsplit(url)
-    if address.scheme not in ("http", "https") or not address.hostname:
-        raise InputError.of(f"`{url}` is not the URL of a resource", mend="write http://HOST/PATH or https://HOST/PATH")
+    mend = "write http://HOST/PATH or https://HOST/PATH"
+    try:
+        address = urlsplit(url)
+        is_right = address.scheme in ("http", "https") and bool(address.hostname) and address.port != 0
+    except ValueError:
+        is_right = False
+    if not is_right:
+        raise InputError.of(f"`{url}` is not the URL of a resource", mend=mend)
     if "@" in address.netloc:
         mend = "remove it, and write `username` with `password_env` or `password_file`"
         raise InputError.of("a URL can't hold the name and password", mend=mend)

@@ -9,8 +9,10 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from types import SimpleNamespace
 
 import pytest
+from cfgplan_runtime.fleet import heartbeats
 from cfgplan_runtime.fleet.heartbeats import Answering, Asking, new_secret
 from small_fleet import PATIENCE_S, eventually
 
@@ -106,6 +108,28 @@ def test_an_agent_that_has_answered_is_asked_at_once_and_has_some_round_trips_ti
             pass
     finally:
         manager.close()
+
+
+@pytest.mark.parametrize("round_trip_s", [0.001, 0.02, 0.5])
+def test_an_agent_is_asked_several_times_before_it_is_gone_since_datagrams_may_be_lost(
+    monkeypatch: pytest.MonkeyPatch, round_trip_s: float
+) -> None:
+    now_s, secret = [0.0], new_secret()
+    idle = SimpleNamespace(start=lambda: None, join=lambda: None)
+    monkeypatch.setattr(heartbeats, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
+    monkeypatch.setattr(heartbeats, "threading", SimpleNamespace(Lock=threading.Lock, Thread=lambda **_: idle))
+    manager = Asking(lambda *_: None)
+    manager.ask("r1", [f"127.0.0.1 {free_udp_port()}"], secret)
+    asked = manager._agents["r1"]
+    manager._ask_due(0.0)
+    now_s[0] = round_trip_s
+    manager._take(heartbeats._signed(secret, 1, heartbeats._ANSWER), ("127.0.0.1", 1))
+    end_s, number = now_s[0] + manager.ask_at_once("r1"), 0
+    while asked.due_s < end_s - 1e-9:
+        manager._ask_due(asked.due_s)
+        number += 1
+    assert number >= 4
+    manager.close()
 
 
 def test_half_of_all_datagrams_may_be_lost(ends: Ends) -> None:

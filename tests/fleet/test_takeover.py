@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
@@ -155,6 +156,20 @@ def test_a_host_that_joins_later_tells_of_the_failures_there_and_one_that_is_bac
             later.take_hosts(["r2"])
             (kept,) = told(later, FailuresKept)
             assert isinstance(kept, FailuresKept) and kept.host == "r2"
+
+
+def test_the_wait_after_a_failure_goes_on_while_a_host_is_away() -> None:
+    with small_fleet("r1") as fleet, fleet.backend("r1", library=[WORK]) as first:
+        first.remember("work", "r1", FAILED)
+        first.leave_hosts(["r1"])
+        first.now = lambda: time.monotonic() + 50.0  # type: ignore[method-assign]
+        first.take_hosts(["r1"])
+        told(first, HostJoined)
+        first.take_hosts(())
+        with fleet.backend("r1", library=[WORK], takes_over=True) as later:
+            (kept,) = told(later, FailuresKept)
+            assert isinstance(kept, FailuresKept)
+            assert 0 < kept.left_s <= FAILED.left_s - 50.0
 
 
 def test_failures_end_with_their_run() -> None:

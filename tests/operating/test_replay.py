@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 from collections.abc import Iterator
 from contextlib import suppress
 from itertools import islice
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy
 import pytest
 from cfgplan_runtime import subscribe
 from cfgplan_runtime.children.unit_code import At
+from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.operating.messages import messages
 from cfgplan_runtime.operating.recorded import recorded, values
 from cfgplan_runtime.operating.recording import Recording
@@ -22,7 +25,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from operated_world import ONTOLOGY, PATIENCE_S, await_event, command, running, write_world
 
-from cfgplan.cli import main
+from cfgplan import api
+from cfgplan.cli import main, replay
 from cfgplan.errors import InputError
 
 SECOND_NS = 1_000_000_000
@@ -329,6 +333,45 @@ def test_recorded_topics_that_no_unit_uses_are_named_with_the_remedy(
     told = capsys.readouterr().err
     assert [part for part in said if part not in told] == []
     assert [part for part in unsaid if part in told] == []
+
+
+def test_a_recording_begins_seconds_after_the_plan_whose_topics_are_told_was_made(
+    pictures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s, played = [0], list[str]()
+
+    def plan(*_: object) -> None:
+        now_s[0] += 60
+
+    def play(path: Path, *_: object) -> int:
+        played.append(path.read_text())
+        return 0
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "env.yaml").write_text(TAKEN)
+    (tmp_path / "field.ttl").write_text(ONTOLOGY)
+    monkeypatch.setattr(replay, "time", SimpleNamespace(time_ns=lambda: now_s[0] * 10**9))
+    monkeypatch.setattr(replay, "_tell_untaken", plan)
+    monkeypatch.setattr(replay, "_play", play)
+    assert main(["replay", str(pictures), "env.yaml"]) == 0
+    assert re.findall(r"begin_ns: (\d+)", played[0]) == [f"{63 * 10**9}"]
+
+
+def test_the_plan_that_warnings_need_does_not_keep_a_replay_waiting(
+    pictures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    solve, limits = api.solve, list[float | None]()
+
+    def solved(world: api.World, *, time_limit_s: float | None = None) -> api.Solved:
+        limits.append(time_limit_s)
+        return solve(world, time_limit_s=time_limit_s)
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "env.yaml").write_text(TAKEN)
+    (tmp_path / "field.ttl").write_text(ONTOLOGY)
+    monkeypatch.setattr(api, "solve", solved)
+    assert main(["replay", str(pictures), "env.yaml", "--out", "part.yaml"]) == 0
+    assert limits == [Policy().time_limit_s], "as in a run"
 
 
 def test_a_replay_counts_the_topics_that_it_plays(pictures: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -56,6 +56,31 @@ def test_failures_of_different_types_places_or_words_are_reported_each() -> None
     assert list(failures.due(100 * SECOND_NS, is_last=True)) == []
 
 
+class UnsayableError(Exception):
+    def __str__(self) -> str:
+        raise RuntimeError("no words")
+
+
+def test_an_exception_that_fails_to_say_what_it_is_is_reported_too() -> None:
+    failures = Failures()
+    told = failures.take(failing(UnsayableError()), 1, 0)
+    assert told is not None and "UnsayableError" in told.text
+    assert failures.take(failing(UnsayableError()), 2, 0) is None, "it is the same failure"
+
+
+def test_failures_that_have_ended_make_room_for_new_ones() -> None:
+    failures = Failures()
+    for number in range(20):
+        assert failures.take(failing(ValueError(chr(ord("a") + number))), number, 0)
+    assert failures.take(failing(ValueError("a")), 20, SECOND_NS) is None
+    later_ns = 60 * SECOND_NS
+    new = failures.take(failing(ZeroDivisionError("by zero")), 21, later_ns)
+    assert new is not None and "by zero" in new.text
+    assert failures.take(failing(ValueError("a")), 22, later_ns) is None, "its repeats were not told yet"
+    (more,) = failures.due(later_ns)
+    assert (more.suppressed, "ValueError: a" in more.text) == (2, True)
+
+
 def test_endless_kinds_of_failures_are_reported_up_to_a_number_and_all_are_counted() -> None:
     failures, words = Failures(), [chr(ord("a") + number % 26) * (1 + number // 26) for number in range(100)]
     told = [failures.take(failing(ValueError(word)), 1, 0) for word in words]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
@@ -259,6 +260,12 @@ BROKER = "localhost:1883"
         ("zenoh:Subscriber", {"key_expr": "a", "with_kye": True}, "did you mean `with_key`?"),
         ("zenoh:Publisher", {}, "`params` has no `key_expr`"),
         ("http:Poller", {"url": "http://a", "payloda": "text"}, "did you mean `payload`?"),
+        ("mqtt:Subscriber", {"broker": BROKER, "topic": "a", "keepalive": 0}, "`0` can't be a keepalive"),
+        ("mqtt:Subscriber", {"broker": BROKER, "topic": "a", "keepalive": "5s"}, "`5s` can't be a keepalive"),
+        ("mqtt:Publisher", {"broker": BROKER, "topic": "a", "will": {"topic": "a/#"}}, "`will` has no topic"),
+        ("mqtt:Subscriber", {"broker": "mqtt://[::1]", "topic": "a"}, ""),
+        ("http:Poller", {"url": "http://["}, "`http://[` is not the URL of a resource"),
+        ("http:Poller", {"url": "http://a:b"}, "`http://a:b` is not the URL of a resource"),
         ("http:Poller", {"url": "http://a", "payload": "text", "token_env": "T"}, ""),
     ],
 )
@@ -269,3 +276,12 @@ def test_params_of_ready_made_units_are_checked_before_they_start(
     fault = told(tmp_path, transformation(f"cfgplan_runtime.{source}", *inputs, **params))
     assert says in fault
     assert bool(fault) == bool(says)
+
+
+def test_a_module_of_cfgplan_that_can_not_be_imported_here_is_a_fault(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "rclpy", None)
+    monkeypatch.delitem(sys.modules, "cfgplan_runtime.ros2.host.qos", raising=False)
+    fault = told(tmp_path, transformation("cfgplan_runtime.ros2.host.qos:Profile"))
+    assert "cfgplan_runtime.ros2.host.qos can't be imported" in fault

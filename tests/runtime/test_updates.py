@@ -319,6 +319,20 @@ def test_a_unit_that_waits_for_a_state_begins_with_the_last_known_one_if_its_upd
     assert {"low.1", "high.1"} <= scene.alive
 
 
+def test_a_unit_that_an_undone_update_has_kept_waits_for_no_state_after_the_next_is_undone_too() -> None:
+    scene = Scene(replace(MODES, units=(*MODES.units, unit("low.1"))))
+    change_set = ChangeSet(rewired=LOWER.started, stopped=LOWER.stopped)
+    commands = carry_out(scene, change_set, environment_after(scene.environment, change_set), Patience())
+    while not isinstance(command := next(commands), Connect):
+        scene.obey(command)
+    scene.obey(commands.throw(OSError("no socket")))
+    with pytest.raises(ApplyError, match="no socket"):
+        for command in commands:
+            scene.obey(command)
+    assert [said for said in scene.said if said != "wait"] == ["hold low.1", "give low.1 what is known []"]
+    assert {"low.1", "high.1"} <= scene.alive
+
+
 def test_a_unit_that_replaces_none_is_given_no_state() -> None:
     scene = Scene(MODES)
     scene.carry_out(start(unit("low.1", x="count.1/n")))

@@ -13,7 +13,9 @@ from cfgplan_runtime.errors import EncodingError, WrongPortsError
 _FIRST_PAUSE_NS, _LONGEST_PAUSE_NS = 500_000_000, 60_000_000_000
 """Repeats are reported after the first pause, then after pauses that double up to the longest."""
 _MOST_FAULTS = 20
-"""The number of different failures that a unit reports; any further one counts as a repeat of the last of these."""
+"""The number of different failures that are known at a time. One that has not come for the longest pause makes room for
+another; without room, any further one counts as a repeat of the last.
+"""
 _KINDS_OF_END = ((WrongPortsError, "wrong ports"), (EncodingError, "can't be sent"))
 _FIGURE = re.compile(r"\d+")
 
@@ -24,6 +26,7 @@ class _Repeated:
 
     kind: str
     text: str
+    last_ns: int
     due_ns: int
     pause_ns: int = _FIRST_PAUSE_NS
     step: int = 0
@@ -45,13 +48,20 @@ class Failures:
         key = _key(error)
         known = self._known.get(key)
         if known is None and len(self._known) == _MOST_FAULTS:
-            known = next(reversed(self._known.values()))
+            known = self._make_room(now_ns)
         if known is not None:
-            known.step, known.repeats = step, known.repeats + 1
+            known.step, known.last_ns, known.repeats = step, now_ns, known.repeats + 1
             return None
         text = "".join(traceback.format_exception(error)) if kind == "raised" else str(error)
-        self._known[key] = _Repeated(kind, text, now_ns + _FIRST_PAUSE_NS)
+        self._known[key] = _Repeated(kind, text, now_ns, now_ns + _FIRST_PAUSE_NS)
         return Trouble(kind, step, text)
+
+    def _make_room(self, now_ns: int) -> _Repeated | None:
+        """Forget the failures whose repeats have ended and are told. Returns the last one if there are none."""
+        old = [key for key, one in self._known.items() if not one.repeats and now_ns - one.last_ns >= _LONGEST_PAUSE_NS]
+        for key in old:
+            del self._known[key]
+        return None if old else next(reversed(self._known.values()))
 
     def due(self, now_ns: int, *, is_last: bool = False) -> Iterator[Trouble]:
         """Yield a report for each failure whose repeats are due; at the last call, for each failure with repeats."""
@@ -67,4 +77,5 @@ def _key(error: Exception) -> tuple[object, ...]:
     while place is not None and place.tb_next is not None:
         place = place.tb_next
     where = None if place is None else (place.tb_frame.f_code.co_filename, place.tb_lineno)
-    return type(error), where, _FIGURE.sub("0", str(error))
+    said = "".join(traceback.format_exception_only(error))  # also if its own `__str__` fails
+    return type(error), where, _FIGURE.sub("0", said)

@@ -105,7 +105,11 @@ def _check_python(transformation: Transformation, source: str, folder: Path) -> 
 
 def _check_own(transformation: Transformation, place: str, name: str) -> None:
     """Raise InputError if cfgplan's own unit code does not accept the params. It may be imported before a run."""
-    module = importlib.import_module(place)
+    try:
+        module = importlib.import_module(place)
+    except ImportError as error:
+        mend = "name unit code, such as cfgplan_runtime.mqtt:Subscriber"
+        raise InputError.of(f"{place} can't be imported: {error}", mend=mend) from None
     check = getattr(getattr(module, name, None), "check_params", None)
     if check is not None:
         check(transformation.params)

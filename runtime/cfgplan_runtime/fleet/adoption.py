@@ -121,7 +121,7 @@ def failures_kept(
 ) -> list[events.FailuresKept]:
     """The failures on a host of the transformations whose start order and code have not changed."""
     return [
-        events.FailuresKept(label, host, one.number, max(0.0, one.left_s - (held.now_s - one.at_s)), one.cause)
+        events.FailuresKept(label, host, one.number, one.at(held.now_s).left_s, one.cause)
         for label, one in sorted(held.failures.items())
         if label in library and one.digest == start_digest(library[label], folder)
     ]

@@ -80,7 +80,7 @@ class FleetBackend:
         self._unplaced: set[str] = set()
         """Topics without a required host, while no host has joined."""
         self._failures: dict[str, dict[str, orders.HeldFailures | None]] = {}
-        """By host and label: the last orders to keep failures."""
+        """By host and label: the failures that were to be kept last, with the time on this backend's clock."""
         self._routes = Routes(run_folder.id)
         self._counts = Counts()
         self._library = library
@@ -157,7 +157,7 @@ class FleetBackend:
         kept = None
         if failures is not None:
             digest = start_digest(failures.transformation, self._folder)
-            kept = orders.HeldFailures(failures.number, failures.left_s, failures.cause, digest)
+            kept = orders.HeldFailures(failures.number, failures.left_s, failures.cause, digest, self.now())
         self._failures.setdefault(host, {})[label] = kept
         self._presence.say(host, orders.KeepFailuresOrder(label, kept))
 
@@ -370,7 +370,7 @@ class FleetBackend:
         for label in host.held.failures.keys() - {one.transformation for one in kept}:
             self._presence.say(host.name, orders.KeepFailuresOrder(label, None))
         for label, failures in known.items():
-            self._presence.say(host.name, orders.KeepFailuresOrder(label, failures))
+            self._presence.say(host.name, orders.KeepFailuresOrder(label, failures and failures.at(self.now())))
 
     def _note_place(self, unit: str, host: str | None) -> None:
         (self._anywhere.add if host is None else self._anywhere.discard)(unit)

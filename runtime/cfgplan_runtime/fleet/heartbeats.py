@@ -33,7 +33,9 @@ _HASTE = 5
 _PATIENT_PERIODS = 2
 """An agent is silent if no answer has come for so many periods. A lossless link answers once a period."""
 _ROUND_TRIPS, _LEAST_PATIENCE_S = 4, 0.02
-"""An agent whose links have ended must answer within so many round trips, but has at least so many seconds."""
+"""An agent whose links have ended must answer within so many round trips, but has at least so many seconds. It is asked
+as many times meanwhile, since questions and answers may be lost.
+"""
 _SECRET_BYTES, _MOST_BYTES = 16, 256
 
 
@@ -153,8 +155,15 @@ class _Asked:
     chosen: tuple[str, int] | None = None
     round_trip_s: float | None = None
     """The seconds from the last answered question to its answer."""
+    urgent_until_s: float = -inf
+    """Until then it is asked once a round trip, as long as it is silent."""
     open: dict[int, float] = field(default_factory=dict)
     """The questions without an answer, with their times."""
+
+    @property
+    def least_pause_s(self) -> float:
+        """From one urgent question to the next."""
+        return max(_LEAST_PATIENCE_S / _ROUND_TRIPS, self.round_trip_s or 0.0)
 
 
 class Asking:
@@ -186,7 +195,7 @@ class Asking:
         self._waker.wake()
 
     def ask_at_once(self, name: str) -> float:
-        """Ask an agent at once, and repeatedly until it answers. Thread-safe.
+        """Ask an agent at once, and again each round trip until it answers or its time is over. Thread-safe.
 
         Returns the seconds within which an answer has to come; 0 if it has never answered.
         """
@@ -194,9 +203,10 @@ class Asking:
             one = self._agents.get(name)
             if one is None or one.round_trip_s is None:
                 return 0.0
-            one.answered_s, one.due_s = -inf, time.monotonic()
+            now_s, patience_s = time.monotonic(), _ROUND_TRIPS * one.least_pause_s
+            one.answered_s, one.due_s, one.urgent_until_s = -inf, now_s, now_s + patience_s
         self._waker.wake()
-        return max(_LEAST_PATIENCE_S, _ROUND_TRIPS * one.round_trip_s)
+        return patience_s
 
     def forget(self, name: str) -> None:
         """Ask an agent no more. Thread-safe."""
@@ -225,7 +235,9 @@ class Asking:
             due = [one for one in self._agents.values() if one.due_s <= now_s]
             for one in due:
                 is_silent = now_s - one.answered_s > _PATIENT_PERIODS * sign_period_s()
-                one.due_s = now_s + sign_period_s() / (_HASTE if is_silent else 1)
+                pause_s = sign_period_s() / (_HASTE if is_silent else 1)
+                is_urgent = is_silent and now_s < one.urgent_until_s
+                one.due_s = now_s + (min(pause_s, one.least_pause_s) if is_urgent else pause_s)
                 one.open = {number: at_s for number, at_s in one.open.items() if now_s - at_s < LEASE_S}
                 self._number += 1
                 one.open[self._number] = now_s

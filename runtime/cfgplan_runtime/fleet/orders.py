@@ -169,7 +169,7 @@ class RenewOrder(msgspec.Struct, tag=True):
 class HeldFailures(msgspec.Struct):
     """The failures in a row of a transformation on a host: it must not be started again for `left_s` seconds.
 
-    `digest` is that of its start order and its code. The agent adds `at_s`, the time of the message on its clock.
+    `digest` is that of its start order and its code. `at_s` is the time of the message on the clock of who keeps it.
     """
 
     number: int
@@ -177,6 +177,11 @@ class HeldFailures(msgspec.Struct):
     cause: str
     digest: str
     at_s: float = 0.0
+
+    def at(self, now_s: float) -> HeldFailures:
+        """The same failures at a later time of this clock."""
+        left_s = max(0.0, self.left_s - (now_s - self.at_s))
+        return msgspec.structs.replace(self, left_s=left_s, at_s=now_s)
 
 
 class KeepFailuresOrder(msgspec.Struct, tag=True):

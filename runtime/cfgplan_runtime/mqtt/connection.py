@@ -305,7 +305,8 @@ def _address(broker: str) -> Any:
         raise InputError.of("the address of a broker can't hold the name and password", mend=mend)
     if port is not None:
         return found
-    return found._replace(netloc=f"{found.hostname}:{_PORTS[found.scheme]}")
+    host = f"[{found.hostname}]" if ":" in found.hostname else found.hostname
+    return found._replace(netloc=f"{host}:{_PORTS[found.scheme]}")
 
 
 def _context(ca: str | None, certificate: str | None, key: str | None) -> ssl.SSLContext:
@@ -323,5 +324,6 @@ def _context(ca: str | None, certificate: str | None, key: str | None) -> ssl.SS
 def check_parameters(connection: Mapping[str, Any]) -> None:
     """Raise InputError for parameters that no connection can have."""
     check_names("MQTT", parameters(), connection)
-    if "keepalive" in connection and not 1 <= connection["keepalive"] <= _LONGEST_S:
-        raise InputError.of(f"`{connection['keepalive']}` can't be a keepalive", mend=f"it is from 1 to {_LONGEST_S} s")
+    keepalive = connection.get("keepalive", 1)
+    if not isinstance(keepalive, int) or not 1 <= keepalive <= _LONGEST_S:
+        raise InputError.of(f"`{keepalive}` can't be a keepalive", mend=f"it is from 1 to {_LONGEST_S} s")

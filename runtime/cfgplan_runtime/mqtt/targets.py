@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from typing import Any, Final
 
@@ -22,6 +23,10 @@ from cfgplan_runtime.streams.payload import decode
 
 _QOS: Final = 1
 _ONLINE, _OFFLINE = b"online", "offline"
+_SHARED: Final = re.compile(r"^\$share/[^/]+/")
+"""Begins the filter of a subscription that several clients share."""
+_ALL: Final = ("#", "+/#")
+"""The filters of all topics."""
 _SUBSCRIBERS: Final = ("cfgplan_runtime.mqtt:Subscriber", "cfgplan_runtime.mqtt.units:Subscriber")
 
 
@@ -133,5 +138,6 @@ def _heard(environment: Environment, broker: str) -> Iterator[tuple[str, str]]:
         topic, there = params.get("topic"), params.get("broker")
         if transformation.source not in _SUBSCRIBERS or not isinstance(topic, str) or not isinstance(there, str):
             continue
-        if topic != "#" and is_same_broker(there, broker):  # no topic is out of the reach of `#`
-            yield transformation.label, topic
+        heard = _SHARED.sub("", topic)
+        if heard not in _ALL and is_same_broker(there, broker):  # no topic is out of their reach
+            yield transformation.label, heard

@@ -162,6 +162,9 @@ class Publisher:
 
 def _check_params(kind: type[Subscriber | Publisher], params: Mapping[str, Any]) -> None:
     check_call(kind, "MQTT", parameters(), params)
+    check_parameters({name: params[name] for name in parameters() if name in params})
+    if params.get("will") is not None:
+        check_will(params["will"])
     check_broker(params["broker"])
     _check_qos(params.get("qos", 1))
 

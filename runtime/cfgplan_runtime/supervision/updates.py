@@ -484,9 +484,10 @@ class _Update:
             yield SwitchNow(inlet)
         for inlet in [inlet for inlet in actual.feeds if inlet.unit in kept]:
             yield Disconnect(inlet)
-        for unit in sorted(kept & self.held):
+        ending = {*self.started, *failed} - kept
+        for unit in sorted(actual.alive & self.held - ending):
             yield GiveState(unit)
-        yield from self.stop_units(sorted({*self.started, *failed} - kept))
+        yield from self.stop_units(sorted(ending))
         for unit in failed:
             yield SetEnvironment(actual.environment.without_unit(unit))
         yield from self.close_topics(self.opened)
