@@ -26,7 +26,7 @@ def hearing(topic: str, broker: str = "localhost") -> Environment:
 
 @pytest.mark.parametrize("topic", ["house/t", "+/t", "house/#", "$share/group/house/#"])
 def test_no_target_has_a_topic_that_a_source_hears(topic: str) -> None:
-    with pytest.raises(InputError, match="the run would hear what it publishes"):
+    with pytest.raises(InputError, match="the run would receive its own values"):
         check_targets(hearing(topic), "127.0.0.1:1883")
 
 
