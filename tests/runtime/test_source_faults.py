@@ -10,10 +10,12 @@ from pathlib import Path
 import pytest
 from cfgplan_runtime.children.source_faults import source_fault
 from cfgplan_runtime.children.unit_code import UnitCode
+from cfgplan_runtime.outside.units import check_call
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cfgplan.domain import InputPort, OutputPort, Transformation
+from cfgplan.errors import InputError
 
 OUT = (OutputPort("out", "Out"),)
 GOOD = """\
@@ -285,3 +287,12 @@ def test_a_module_of_cfgplan_that_can_not_be_imported_here_is_a_fault(
     monkeypatch.delitem(sys.modules, "cfgplan_runtime.ros2.host.qos", raising=False)
     fault = told(tmp_path, transformation("cfgplan_runtime.ros2.host.qos:Profile"))
     assert "cfgplan_runtime.ros2.host.qos can't be imported" in fault
+
+
+def test_a_text_that_has_a_default_may_be_left_out_of_the_params() -> None:
+    def connect(broker: str, name: str = "usual") -> None:
+        """Stands for the constructor of unit code."""
+
+    check_call(connect, "MQTT", [], {"broker": "b"})
+    with pytest.raises(InputError, match="`name` must be a text, but is 5"):
+        check_call(connect, "MQTT", [], {"broker": "b", "name": 5})

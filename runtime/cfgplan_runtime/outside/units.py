@@ -47,7 +47,7 @@ def check_call(
     if lacking:
         raise InputError.of(f"`params` has no {' and no '.join(lacking)}", mend="add it to `params`")
     for one in own:
-        if one.annotation == "str" and not isinstance(text := params[one.name], str):
+        if one.annotation == "str" and not isinstance(text := params.get(one.name, ""), str):
             raise InputError.of(f"`{one.name}` must be a text, but is {text!r}", mend="put quotes around it")
     if "payload" in params:
         check_form(str(params["payload"]))
