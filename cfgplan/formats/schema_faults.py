@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from decimal import Decimal
 from math import ceil
@@ -13,6 +12,7 @@ from pydantic import BaseModel
 from cfgplan.costs import guessed_s
 from cfgplan.errors import Fault, close_names
 from cfgplan.formats.fields import FORMAT, EnvironmentPart, IncludedPart, Part
+from cfgplan.formats.measures import MEASURES
 from cfgplan.formats.models import model_of
 from cfgplan.formats.places import Path, Source
 from cfgplan.formats.scalars import resolve
@@ -44,7 +44,8 @@ _EACH_MEANS = {
     "labor": "CPU seconds of one start",
     "max_cost": "the most that an update may cost",
 }
-_UNITS_OF_BYTES = {"k": Decimal("0.001"), "m": Decimal(1), "g": Decimal(1000)}
+_NAMED_BY_USERS = (("quality",), ("needs",), ("offers",))
+"""The mappings whose keys are names of the environment file."""
 _KINDS_OF_VALUE = {
     "string_type": "text",
     "int_type": "a whole number",
@@ -264,15 +265,12 @@ def _as_number(path: Path, wanted: str, value: object) -> str:
         return f"write a whole number, such as {ceil(value)}"
     if not isinstance(value, str):
         return f"write {wanted} here"
-    if path[-1] == "memory":
-        found = re.fullmatch(r"(\d+(?:\.\d+)?) ?([kmg])i?b?", value.casefold())
-        if found is not None and (megabytes := Decimal(found[1]) * _UNITS_OF_BYTES[found[2]]) >= 1:
-            return f"write megabytes, a plain number: {_plain(megabytes // 1)}"
-        return "write megabytes, a plain number, such as 200" + _if_quoted(value)
-    if path[-1] == "rate" and (found := re.fullmatch(r"(\d+(?:\.\d+)?) ?hz", value.casefold())):
-        return f"write elements per second, a plain number: {found[1]}"
-    if path[-1] == "size" and (found := re.fullmatch(r"(\d+(?:\.\d+)?) ?([kmg])i?b?", value.casefold())):
-        return f"write bytes, a plain number: {_plain(Decimal(found[1]) * _UNITS_OF_BYTES[found[2]] * 1_000_000)}"
+    if path[-2:-1] not in _NAMED_BY_USERS and (measure := MEASURES.get(str(path[-1]))) is not None:
+        number = measure.number(value)
+        if number is not None and is_whole:
+            number = number // 1 or None
+        said = f", such as {measure.usual}{_if_quoted(value)}" if number is None else f": {_plain(number)}"
+        return f"write {measure.unit}, a plain number{said}"
     meant = guessed_s(value)
     if path[-1] == "horizon":
         seconds = 600 if meant is None else ceil(meant)
@@ -280,7 +278,7 @@ def _as_number(path: Path, wanted: str, value: object) -> str:
     is_time = not is_whole and "seconds" in wanted
     if is_time and meant is not None and isinstance(resolve(value), str):
         return f"write a plain number of seconds: {_plain(meant)}"
-    return f"write a plain number, such as {'600' if is_whole else '0.3'}" + _if_quoted(value)
+    return f"write a plain number, such as {'1' if is_whole else '0.3'}" + _if_quoted(value)
 
 
 def _as_mapping(path: Path, value: object, part: type[BaseModel]) -> str:

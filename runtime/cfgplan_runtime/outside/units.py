@@ -33,9 +33,7 @@ def only_value(inputs: Mapping[str, object]) -> object:
     return value
 
 
-def check_call(
-    kind: Callable[..., Any], protocol: str, connection: Iterable[str], params: Mapping[str, Any]
-) -> None:
+def check_call(kind: Callable[..., Any], protocol: str, connection: Iterable[str], params: Mapping[str, Any]) -> None:
     """Raise InputError if params are unknown to a class of unit code, missing, or have a wrong value.
 
     Params of type `str` must be texts, `payload` a known form, and `field` a field of messages in it. `connection` are
