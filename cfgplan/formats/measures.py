@@ -26,7 +26,7 @@ class Measure:
         for pattern, worth in self.others.items():
             found = re.fullmatch(rf"{_NUMBER}([kKmMgGtT]?)(i?)(?:{pattern})", text.strip())
             if found is not None and not text.strip().endswith(found[1]):
-                thousand = 1024 if found[3] else 1000
+                thousand = Decimal(1024 if found[3] else 1000)
                 power = _PREFIXES.index(found[2].casefold() or " ")
                 return Decimal(found[1]) * thousand**power * worth
         return None
