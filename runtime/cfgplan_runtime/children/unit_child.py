@@ -201,9 +201,11 @@ class UnitChild:
                 self._handover.ask_places(begun)
             case messages.TellState(until):
                 self._handover.ask_state(until)
-            case messages.TakeState(state, inputs):
+            case messages.TakeState(state, inputs) if self._handover.is_waiting:
                 self._set_state(state)
                 self._handover.begin(inputs)
+            case messages.TakeState():
+                self._handover.stay()
             case messages.Finish():
                 self._ports.drain()
                 self._is_finishing = True

@@ -151,21 +151,30 @@ def _handovers(held: Mapping[str, Held]) -> tuple[set[tuple[str, str]], dict[str
     undone, replaced = set[tuple[str, str]](), dict[str, str]()
     for units in by_name.values():
         waiting = {place for place, known in units.items() if known.handover == "waits"}
-        asked = [place for place, known in units.items() if known.handover == "is asked"]
-        new = [place for place, known in units.items() if known.handover == "has it" and _is_connected(held, *place)]
+        new = {
+            unit
+            for (host, unit), known in units.items()
+            if known.handover == "has it" and _is_connected(held, host, unit)
+        }
         if len(waiting) < len(units):
             undone |= waiting
-        if not waiting and len(asked) == len(new) == 1:  # units that share a state in other ways are left to plans
-            replaced[asked[0][1]] = asked[0][0]
+        if not waiting:
+            for (host, unit), known in units.items():
+                if known.handover == "is asked" and known.successor in new:
+                    replaced[unit] = host
     return undone, replaced
 
 
 def _states_given(held: Mapping[str, Held], kept: Mapping[str, str], states: Mapping[str, bytes]) -> Iterator[OrderTo]:
-    """Yield orders that let waiting kept units begin: the unit whose state they wait for is gone."""
+    """Yield orders that let kept units continue: those that wait for the state of a unit that is gone, and those
+    that were asked for their state and stay.
+    """
     for unit, host in kept.items():
         known = held[host].units[unit]
         if known.handover == "waits":
             yield host, GiveStateOrder(unit, states.get(known.order.state_name or ""), {})
+        elif known.handover == "is asked":
+            yield host, GiveStateOrder(unit, None, {})
 
 
 def _is_connected(held: Mapping[str, Held], host: str, unit: str) -> bool:

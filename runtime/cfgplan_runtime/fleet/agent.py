@@ -330,9 +330,9 @@ class Agent:
                 backend.hold(unit)
             case orders.AskPlacesOrder(unit, begun):
                 backend.ask_places(unit, begun)
-            case orders.AskStateOrder(unit, until):
-                self._note_handover(unit, "is asked")
-                backend.ask_state(unit, until)
+            case orders.AskStateOrder(unit, until, successor):
+                self._note_handover(unit, "is asked", successor)
+                backend.ask_state(unit, until, successor)
             case orders.GiveStateOrder(unit, state, inputs):
                 self._note_handover(unit, "has it")
                 backend.give_state(unit, state, inputs)
@@ -372,9 +372,9 @@ class Agent:
             case TellMark():
                 backend.tell_relay(order)
 
-    def _note_handover(self, unit: str, part: Literal["waits", "has it", "is asked"]) -> None:
+    def _note_handover(self, unit: str, part: Literal["waits", "has it", "is asked"], successor: str = "") -> None:
         if unit in self._held.units:
-            self._held.units[unit].handover = part
+            self._held.units[unit].handover, self._held.units[unit].successor = part, successor
 
     def _hold_wire(self, order: orders.ConnectOrder) -> None:
         held = self._held

@@ -205,8 +205,8 @@ class FleetBackend:
     def ask_places(self, unit: str, begun: Collection[str]) -> None:
         self._presence.say(self._units.get(unit), orders.AskPlacesOrder(unit, list(begun)))
 
-    def ask_state(self, unit: str, until: Mapping[str, Moment]) -> None:
-        self._presence.say(self._units.get(unit), orders.AskStateOrder(unit, dict(until)))
+    def ask_state(self, unit: str, until: Mapping[str, Moment], successor: str) -> None:
+        self._presence.say(self._units.get(unit), orders.AskStateOrder(unit, dict(until), successor))
 
     def give_state(self, unit: str, state: bytes | None, inputs: Mapping[str, GivenInput]) -> None:
         self._presence.say(self._units.get(unit), orders.GiveStateOrder(unit, state, dict(inputs)))

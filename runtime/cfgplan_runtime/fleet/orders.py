@@ -120,6 +120,7 @@ class AskPlacesOrder(msgspec.Struct, tag=True):
 class AskStateOrder(msgspec.Struct, tag=True):
     unit: str
     until: dict[str, Moment]
+    successor: str = ""
 
 
 class GiveStateOrder(msgspec.Struct, tag=True):
@@ -237,7 +238,8 @@ class HeldUnit(msgspec.Struct):
     it. It was started at `since_s` on the host's clock.
 
     `handover` is its part in the last hand-over of a state: a new unit waits for the state and then has it; the unit
-    that it replaces is asked for the state.
+    that it replaces is asked for the state, for this `successor`. If it is not replaced after all, it has its state
+    again.
     """
 
     label: str
@@ -246,6 +248,7 @@ class HeldUnit(msgspec.Struct):
     stop: HeldStop | None = None
     since_s: float = 0.0
     handover: Literal["", "waits", "has it", "is asked"] = ""
+    successor: str = ""
 
 
 class HeldWire(msgspec.Struct):

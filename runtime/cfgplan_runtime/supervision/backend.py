@@ -193,14 +193,16 @@ class Backend(Protocol):
         The inlets in `begun` know it from their first element on.
         """
 
-    def ask_state(self, unit: str, until: Mapping[str, Moment]) -> None:
-        """Ask a unit for its state: StateTold follows between two steps, once each inlet in `until` has received the
-        element of this moment.
+    def ask_state(self, unit: str, until: Mapping[str, Moment], successor: str) -> None:
+        """Ask a unit for its state, with which the unit `successor` continues: StateTold follows between two steps,
+        once each inlet in `until` has received the element of this moment.
         """
 
     def give_state(self, unit: str, state: bytes | None, inputs: Mapping[str, GivenInput]) -> None:
-        """Give a started unit the state of another, if there is one. Its steps begin after it, at the place of each
-        inlet in `inputs`.
+        """Give a unit that was told to `hold` the state of another, if there is one. Its steps begin after it, at the
+        place of each inlet in `inputs`.
+
+        A unit that was asked for its state, and is not replaced after all, continues with its own state instead.
         """
 
     def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:

@@ -280,9 +280,9 @@ class Supervisor:
             case updates.AskPlaces(unit_id, begun):
                 self._answers.pop(unit_id, None)
                 self.backend.ask_places(unit_id, begun)
-            case updates.AskState(unit_id, until):
+            case updates.AskState(unit_id, until, successor):
                 self._answers.pop(unit_id, None)
-                self.backend.ask_state(unit_id, until)
+                self.backend.ask_state(unit_id, until, successor)
             case updates.GiveState(unit_id, state, inputs):
                 if state is None and unit_id in self._library:  # it has not died meanwhile
                     state = self._states.get(self._library[unit_id].state_name or "")
