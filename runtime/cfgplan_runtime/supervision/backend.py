@@ -8,6 +8,7 @@ from typing import Protocol
 
 from cfgplan.domain import ComputationUnit, Host, Stream, Transformation
 from cfgplan_runtime.children.messages import GivenInput
+from cfgplan_runtime.children.unit_order import order_digest
 from cfgplan_runtime.streams.element import Moment
 from cfgplan_runtime.streams.inlet import port_of
 from cfgplan_runtime.supervision.events import Event
@@ -117,6 +118,11 @@ class Failures:
     number: int
     left_s: float
     cause: str
+
+    @property
+    def digest(self) -> str:
+        """The digest of the order that starts a unit. The next manager gets it with FailuresKept."""
+        return order_digest(self.transformation)
 
 
 class Backend(Protocol):
