@@ -83,7 +83,9 @@ class Handover:
 
     def waiting(self, port: str) -> int:
         """The number of elements that a port keeps."""
-        return sum(len(kept) for inlet, kept in (self._held or {}).items() if port_of(inlet) == port)
+        if self._held is None:
+            return 0
+        return sum(len(kept) for inlet, kept in self._held.items() if port_of(inlet) == port)
 
     def begin(self, inputs: Mapping[str, GivenInput]) -> None:
         """Let the steps of a waiting unit begin at a place; without one, with the elements that came."""
