@@ -240,7 +240,7 @@ class Runtime(Closable):
         """Keep the `failures` of the transformation `label` on a `host` for the next manager, if units outlive this
         one; None: forget them.
         """
-        self._executor.call(lambda: self.supervisor.backend.remember(label, host, failures))
+        self._executor.call(lambda: self.supervisor.remember(label, host, failures))
 
     def cut(self, unit: str | None, port: str) -> None:
         """Remove the stream of the input `port`, or of the topic `port` (`unit` is None), as if it had been lost.

@@ -177,6 +177,7 @@ def in_handover(asked: str = "is asked", new: str = "waits", *, is_wired: bool =
     """Units work.1 and work.2, which replaces it: its wires are the newest ones."""
     units = started("count.1") | started("work.1", "work.2", library=STATEFUL)
     units["work.1"].handover, units["work.2"].handover = asked, new  # type: ignore[assignment]
+    units["work.1"].successor = "work.2" if asked == "is asked" else ""
     wires = [HeldWire(1, COUNTED, TO_WORK, has_switched=True)]
     if is_wired:
         wires += [HeldWire(2, COUNTED, Inlet("work.2", "x")), HeldWire(3, Stream("work.2", "y"), TO_TOPIC)]
@@ -192,8 +193,10 @@ def ids(adoption: Adoption) -> list[str]:
 def test_a_unit_that_waits_for_the_state_of_another_is_ended_and_the_other_is_kept(asked: str) -> None:
     adoption = adopt("new", {"r1": in_handover(asked)}, STATEFUL)
     assert (ids(adoption), adoption.ended) == (["count.1", "work.1"], [])
+    goes_on = [("r1", GiveStateOrder("work.1", None, {}))] if asked else []
     assert adoption.orders == [
         ("r1", KillOrder("work.2", dump=False)),
+        *goes_on,
         ("r1", CutOrder(2, Inlet("work.2", "x"))),
         ("r1", CutOrder(3, TO_TOPIC)),
     ]
@@ -216,7 +219,23 @@ def test_a_unit_whose_state_another_has_is_told_to_stop_unless_the_update_was_un
     assert adoption.found is not None
     assert adoption.found.stopping == {"work.1": StoppingUnit("work", "r1", 0.0, None, "altitude")}
     adoption = adopt("new", {"r1": in_handover(new="has it", is_wired=False)}, STATEFUL)
-    assert (ids(adoption), adoption.orders) == (["count.1", "work.1", "work.2"], [])
+    assert ids(adoption) == ["count.1", "work.1", "work.2"]
+    assert adoption.orders == [("r1", GiveStateOrder("work.1", None, {}))], "a source that was asked gives again"
+
+
+def test_a_unit_that_was_asked_for_its_state_by_one_that_is_gone_goes_on_beside_others_with_that_state() -> None:
+    held = in_handover(new="has it")
+    held.units["work.1"].successor = "work.3"
+    for _ in range(2):
+        adoption = adopt("new", {"r1": held}, STATEFUL)
+        assert ids(adoption) == ["count.1", "work.1", "work.2"]
+        assert adoption.orders == [("r1", GiveStateOrder("work.1", None, {}))]
+        held.units |= started("work.3", library=STATEFUL)
+        held.units["work.3"].handover = "waits"
+        ended = adopt("new", {"r1": held}, STATEFUL)
+        assert ids(ended) == ["count.1", "work.1", "work.2"]
+        assert ended.orders == [("r1", KillOrder("work.3", dump=False)), *adoption.orders]
+        del held.units["work.3"]
 
 
 def test_parts_in_earlier_handovers_end_nothing() -> None:

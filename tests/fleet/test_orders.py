@@ -10,11 +10,16 @@ import msgspec
 import pytest
 from cfgplan_runtime.children.messages import ImportUnused
 from cfgplan_runtime.fleet.agent import Agent
+from cfgplan_runtime.fleet.links import Lives
 from cfgplan_runtime.fleet.orders import (
+    REFUSE,
     SAY,
     EventReport,
     FromAgent,
+    GreetOrder,
+    Held,
     Order,
+    OtherVersionError,
     ReliableChannel,
     Session,
     StopOrder,
@@ -24,6 +29,8 @@ from cfgplan_runtime.fleet.orders import (
 from cfgplan_runtime.streams.crossing import crossing_key
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 from cfgplan_runtime.supervision.events import UnitDied
+
+from cfgplan import __version__
 
 SESSION = Session(1, "abcd", 1, "beef")
 
@@ -58,7 +65,7 @@ def test_a_message_of_another_version_is_no_traceback_but_an_error() -> None:
     manager, agent = channel(Wire(), "manager", "r1", Order), channel(wire, "r1", "manager", Order)
     agent.say(ImportUnused("of an agent", 1))
     agent.pump(0.0)
-    with pytest.raises(msgspec.MsgspecError):
+    with pytest.raises(OtherVersionError):
         manager.hear(*wire.put[0], 0.0)
     with pytest.raises(msgspec.MsgspecError):
         event_of(EventReport("UnitSang", msgspec.Raw(b"")))
@@ -78,9 +85,65 @@ def test_of_two_agents_of_one_name_only_the_one_that_was_greeted_obeys(life: str
     manager.say(StopOrder("a.1"))
     manager.pump(0.0)
     (said,) = (put for put in wire.put if put[0] == SAY)
-    agent = Agent.__new__(Agent)
-    agent.name, agent._life, agent._channel, agent._orders = "r1", life, None, deque()
-    agent._link, agent._is_left = cast("ZenohLink", wire), False
+    agent = made_agent(wire)
+    agent._life = life
     agent._hear(crossing_key("manager", SAY, "r1", str(SESSION)), *said[1:])
     assert list(agent._orders) == [StopOrder("a.1")] * is_obeyed
     assert (agent._channel is not None) == is_obeyed
+
+
+class SingOrder(msgspec.Struct, tag=True):
+    """An order of another version."""
+
+    unit: str
+
+
+LATER = Session(2, "cdef", 1, SESSION.life)
+
+
+def made_agent(wire: Wire, say: Callable[[str], None] = lambda _: None) -> Agent:
+    """An agent without processes."""
+    agent = Agent.__new__(Agent)
+    agent.name, agent._life, agent._channel, agent._orders = "r1", SESSION.life, None, deque()
+    agent._link, agent._is_left, agent._unreadable, agent._tell_user = cast("ZenohLink", wire), False, None, say
+    agent._superseded, agent._held, agent._managers = {}, Held(), Lives()
+    return agent
+
+
+def say_all(agent: Agent, session: Session, *batches: list[msgspec.Struct]) -> None:
+    """Let a manager give orders in batches, in a session."""
+    wire = Wire()
+    manager: ReliableChannel[Any] = ReliableChannel(cast("ZenohLink", wire), "manager", "r1", session, FromAgent)
+    for batch in batches:
+        for order in batch:
+            manager.say(order)
+        manager.pump(0.0)
+        for kind, head, payload in wire.put:
+            agent._hear(crossing_key("manager", kind, "r1", str(session)), head, payload)
+
+
+def test_an_agent_refuses_all_orders_that_come_with_one_that_it_can_not_read_and_says_so_again() -> None:
+    wire, said = Wire(), list[str]()
+    agent = made_agent(wire, said.append)
+    greeting: list[msgspec.Struct] = [GreetOrder(True, b"", "9.9.9")]
+    say_all(agent, SESSION, greeting, [StopOrder("a.1"), SingOrder("a.1"), StopOrder("b.1")], [StopOrder("c.1")])
+    assert list(agent._orders) == []
+    assert agent._channel is None, "another manager may take over"
+    refusals = [payload.decode() for kind, _, payload in wire.put if kind == REFUSE]
+    assert len(refusals) > 1 and set(refusals) == {refusals[0]}
+    assert refusals[0].startswith(f"version {__version__} ") and "SingOrder" in refusals[0]
+    (told,) = said
+    assert all(word in told for word in ("9.9.9", f"this agent has cfgplan {__version__}", "install the same version"))
+
+
+def test_an_agent_stays_with_its_manager_if_it_can_not_read_the_orders_of_a_later_one() -> None:
+    agent = made_agent(Wire())
+    say_all(agent, SESSION, [GreetOrder(True, b"", __version__)])
+    channel = agent._channel
+    say_all(agent, LATER, [SingOrder("a.1")])
+    assert agent._channel is channel is not None
+    assert (agent._superseded, agent._held.term) == ({}, 0)
+    assert agent._orders.popleft() == GreetOrder(True, b"", __version__)
+    later = LATER._replace(greeting=2)
+    say_all(agent, later, [GreetOrder(True, b"", __version__)])
+    assert agent._channel is not None and agent._channel.session == later

@@ -12,10 +12,12 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
+import msgspec
 import pytest
 from cfgplan_runtime.errors import RuntimeFaultError
+from cfgplan_runtime.fleet import orders
 from cfgplan_runtime.fleet.fleet_backend import FleetBackend
 from cfgplan_runtime.fleet.fleet_runtime import Fleet, LeftUnits, left_units
 from cfgplan_runtime.lifecycle.basis import Preview
@@ -24,7 +26,7 @@ from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.operating.operation import Settings
 from cfgplan_runtime.streams.run_folder import base_folder, remove_dead_runs
 from cfgplan_runtime.supervision.backend import Failures
-from cfgplan_runtime.supervision.events import Event, FailuresKept, HostJoined
+from cfgplan_runtime.supervision.events import Event, FailuresKept, HostJoined, HostLost
 from failing_run import FIRST_S, HOSTS, world
 from small_fleet import (
     FOLDER,
@@ -33,6 +35,7 @@ from small_fleet import (
     SmallFleet,
     eventually,
     moved,
+    seen,
     small_fleet,
     source,
     swap,
@@ -40,7 +43,7 @@ from small_fleet import (
     worker,
 )
 
-from cfgplan import api
+from cfgplan import __version__, api
 from cfgplan.api import matches
 from cfgplan.cli.first_plan import first_review
 from cfgplan.domain import ChangeSet, RunOptions
@@ -133,18 +136,46 @@ def test_a_host_tells_each_later_manager_of_the_failures_there_until_they_are_fo
             assert 0 < kept.left_s <= FAILED.left_s
 
 
-@pytest.mark.parametrize("is_code", [True, False], ids=["its code", "how it is started"])
-def test_failures_of_changed_transformations_are_forgotten(tmp_path: Path, is_code: bool) -> None:
+def test_failures_of_changed_code_are_forgotten(tmp_path: Path) -> None:
     code = (FOLDER / "fleet_units.py").read_text()
-    (tmp_path / "fleet_units.py").write_text(code + "# mended" * is_code)
-    changed = WORK if is_code else replace(WORK, params={"mended": True})
+    (tmp_path / "fleet_units.py").write_text(code + "# mended")
     with small_fleet("r1") as fleet, fleet.backend("r1", library=[WORK]) as first, ExitStack() as stack:
         first.remember("work", "r1", FAILED)
         first.take_hosts(())
-        later = stack.enter_context(fleet.backend("r1", library=[changed], folder=tmp_path, takes_over=True))
+        later = stack.enter_context(fleet.backend("r1", library=[WORK], folder=tmp_path, takes_over=True))
         assert told(later, FailuresKept) == []
         last = stack.enter_context(fleet.backend("r1", library=[WORK], takes_over=True))
         assert told(last, FailuresKept) == [], "they are forgotten for good"
+
+
+def test_failures_are_told_whatever_the_library_was_when_the_run_began() -> None:
+    """The manager judges them by the present one."""
+    with small_fleet("r1", "r2") as fleet, fleet.backend("r1", "r2") as first:
+        first.remember("work", "r2", FAILED)
+        first.take_hosts(())
+        edited = replace(WORK, params={"edited": True})
+        with fleet.backend("r1", library=[edited], takes_over=True) as later:
+            assert told(later, FailuresKept) == []
+            later.take_hosts(["r2"])
+            (kept,) = told(later, FailuresKept)
+            assert isinstance(kept, FailuresKept)
+            assert [kept.is_of(one) for one in (WORK, edited, None)] == [True, False, False]
+
+
+def test_failures_that_were_forgotten_while_their_host_was_away_are_forgotten_there_and_here() -> None:
+    with small_fleet("r1") as fleet, fleet.backend("r1") as first:
+        told(first, HostJoined)
+        first.remember("work", "r1", FAILED)
+        first.take_hosts(())
+        host = first._presence.there["r1"]
+        first._presence._lose(host, "cut")
+        first.remember("work", "r1", None)
+        first._presence._greet("r1", host.life, "")
+        assert told(first, FailuresKept) == []
+        assert not any(first._failures.values()), "nothing is kept of them"
+        eventually(lambda: first.wait(0.05) is not None and first._presence.there["r1"].channel.is_done)
+        with fleet.backend("r1", takes_over=True) as later:
+            assert told(later, FailuresKept) == []
 
 
 def test_a_host_that_joins_later_tells_of_the_failures_there_and_one_that_is_back_is_told_of_them() -> None:
@@ -238,3 +269,34 @@ def test_a_handover_that_a_manager_has_left_is_undone_or_finished_without_losing
             eventually(lambda: sorted(fleet.units()) == ["count.1", kept.id])
             listener.await_more(20)
             assert listener.values == list(range(listener.values[0], listener.values[0] + len(listener.values)))
+
+
+class SingOrder(msgspec.Struct, tag=True):
+    """An order of another version."""
+
+    unit: str
+
+
+def test_units_run_on_if_their_agent_can_not_read_an_order_and_the_run_says_what_to_install() -> None:
+    with small_fleet("r1") as fleet:
+        one = unit("count.1", "r1")
+        with fleet.runtime(source()) as runtime:
+            runtime.apply(ChangeSet(started=(one,)))
+            (pid,) = fleet.pids("count")
+            backend = runtime.supervisor.backend
+            assert isinstance(backend, FleetBackend)
+
+            def give() -> None:
+                backend._presence.say("r1", cast("orders.Order", SingOrder("count.1")))
+                backend.kill("count.1")
+
+            runtime._executor.call(give)
+            eventually(lambda: bool(seen(runtime, HostLost)))
+            cause = seen(runtime, HostLost)[0].cause
+            assert f"its agent has cfgplan {__version__}" in cause and "SingOrder" in cause
+            assert f"this run has cfgplan {__version__}" in cause and "install the same version" in cause
+            assert runtime.environment.units == ()
+            assert fleet.pids("count") == [pid], "no order that came with it is carried out"
+            with fleet.runtime(source()) as later:
+                assert later.environment.units == (one,)
+                assert fleet.pids("count") == [pid]

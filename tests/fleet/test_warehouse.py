@@ -33,7 +33,7 @@ poses = st.builds(Pose, st.floats(-6, 6), st.floats(-4, 4), st.floats(-3.1, 3.1)
 
 
 def unit_code(name: str) -> Any:
-    return find_source(f"units.py:{name}", FLEET)
+    return find_source(f"units.py:{name}", str(FLEET))
 
 
 @given(poses, st.floats(1.7, 8), st.floats(-0.5, 0.5))
@@ -157,7 +157,7 @@ def test_the_planned_units_find_the_crates_with_the_error_that_is_promised(
     library = after.transformation
     codes = {}
     for unit in after.units:
-        code = find_source(library[unit.transformation].source or "", FLEET)
+        code = find_source(library[unit.transformation].source or "", str(FLEET))
         codes[unit.id] = code(**library[unit.transformation].params) if isinstance(code, type) else code
     assert sum(unit.transformation.startswith("camera") for unit in after.units) == robots
     (stream,) = (Stream(unit.id, p.port) for unit in after.units for p in unit.publications)

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 import pytest
 from cfgplan_runtime import ApplyError, Policy, StaleChangeSetError
+from cfgplan_runtime.children.unit_order import order_digest
 from cfgplan_runtime.errors import AbandonedError, NoSourceError
 from cfgplan_runtime.lifecycle.back_off import Place
 from cfgplan_runtime.lifecycle.changes import (
@@ -72,6 +73,7 @@ from cfgplan_runtime.lifecycle.transitions import (
     TimedInput,
     Updated,
 )
+from cfgplan_runtime.lifecycle.worlds import WorldVersion
 from cfgplan_runtime.supervision.backend import Failures
 from cfgplan_runtime.supervision.events import (
     ClockMoved,
@@ -103,6 +105,7 @@ from cfgplan.errors import Fault, InputError
 
 E = TypeVar("E")
 LIBRARY = (source(), worker(host="far"))
+DIGEST = order_digest(LIBRARY[1])
 POLICY = Policy(gather_s=0.0, explain_s=0.02, retry_s=0.1, most_loss_s=1.0)
 COUNT = ComputationUnit("count.1", "count")
 WORK = ComputationUnit("work.1", "work", (Subscription("x", Stream("count.1", "n")),), (Publication("y", "/result"),))
@@ -380,24 +383,59 @@ def test_each_change_of_failures_is_remembered_for_the_next_manager() -> None:
 
 
 def test_a_manager_goes_on_with_the_failures_of_the_one_before_it() -> None:
-    place, kept = Place("work", "far"), FailuresKept("work", "far", 3, 2.5, "crash")
+    place, kept = Place("work", "far"), FailuresKept("work", "far", 3, 2.5, "crash", DIGEST)
     state, effects = after(first_state(world(), POLICY), 10.0, kept, running=EMPTY)
     assert state.situation.back_offs.avoided == {place}
     assert state.wake_s == 12.5
     assert found(effects, LearnOfFailure) == [LearnOfFailure(place)] * 3
     (backed_off,) = [told.report.backing_off for told in found(effects, Tell) if isinstance(told.report, BackedOff)]
     assert (backed_off.failures, backed_off.left_s, backed_off.cause) == (3, 2.5, "crash")
-    again = kept.__class__("work", "far", 9, 99.0, "an older one")
+    again = kept.__class__("work", "far", 9, 99.0, "an older one", DIGEST)
     assert after(state, 11.0, again, running=EMPTY)[0].situation.back_offs == state.situation.back_offs
-    ended, _ = after(first_state(world(), POLICY), 10.0, FailuresKept("work", "far", 3, 0.0, "crash"), running=EMPTY)
+    over = FailuresKept("work", "far", 3, 0.0, "crash", DIGEST)
+    ended, _ = after(first_state(world(), POLICY), 10.0, over, running=EMPTY)
     assert ended.situation.back_offs.avoided == frozenset(), "its wait is over"
     ended, _ = after(ended, 11.0, UnitFound("work.1", 5.0), UnitDied("work.1", "crash"))
     assert ended.situation.back_offs.records[place].failures == 4, "and the next failure is the fourth"
 
 
+def mended(state: State) -> State:
+    """The state with other params of the worker, whose units run as before until the review."""
+    library = LIBRARY[0], replace(LIBRARY[1], params={"mended": True})
+    return replace(state, version=WorldVersion(api.world(Environment((), library, (RESULT,)), horizon_s=60)))
+
+
+@pytest.mark.parametrize("is_known", [False, True])
+def test_failures_that_an_earlier_manager_has_kept_are_judged_by_the_present_world(is_known: bool) -> None:
+    """A host joined after an edit: its failures may be of the transformation as it was before, or as it is now."""
+    state, place = mended(first_state(world(), POLICY)), Place("work", "far")
+    now = state.version.world.environment.transformation["work"]
+    kept = FailuresKept("work", "far", 3, 2.5, "crash", order_digest(now) if is_known else DIGEST)
+    state, effects = after(state, 10.0, kept, running=EMPTY)
+    assert state.situation.back_offs.avoided == ({place} if is_known else set())
+    failures = Failures(now, "far", 3, 2.5, "crash") if is_known else None
+    assert found(effects, Remember) == [Remember(place, failures)]
+    gone = FailuresKept("other", "far", 3, 2.5, "crash", DIGEST)
+    assert found(after(state, 11.0, gone, running=EMPTY)[1], Remember) == [Remember(Place("other", "far"), None)]
+
+
+def test_failures_of_a_unit_that_was_started_before_an_edit_are_not_those_of_the_present_transformation() -> None:
+    state, effects = after(mended(stable()), 1.0, UnitDied("work.1", "crash"))
+    assert [type(one) for one in perturbations(effects)] == [UnitGone]
+    assert found(effects, LearnOfFailure) == found(effects, Remember) == []
+    assert state.situation.back_offs.records == {}
+    state, _ = after(stable(), 1.0, UnitStatus("work.1", 1, 0, {}, {}))
+    state, effects = after(mended(state), 9.0, UnitStatus("work.1", 10, 9, {}, {}))
+    assert [type(one) for one in perturbations(effects)] == [UnitKeepsFailing]
+    assert (found(effects, LearnOfFailure), state.situation.failing) == ([], {"work.1"})
+    slow = Updated(error=ApplyError("work.2 was not ready within 30 s", ("work.2",)))
+    for state, blamed in ((updating(), [LearnOfFailure(Place("work", "far"))]), (mended(updating()), [])):
+        assert found(after(state, 3.0, slow)[1], LearnOfFailure) == blamed
+
+
 @pytest.mark.parametrize(("age_s", "failures"), [(5.0, 4), (3600.0, 1)])
 def test_the_life_of_a_unit_before_a_takeover_counts(age_s: float, failures: int) -> None:
-    kept = FailuresKept("work", "far", 3, 0.0, "crash")
+    kept = FailuresKept("work", "far", 3, 0.0, "crash", DIGEST)
     state, _ = after(first_state(world(), POLICY), 10.0, kept, UnitFound("work.1", age_s))
     state, _ = after(state, 11.0, UnitDied("work.1", "crash"))
     assert state.situation.back_offs.records[Place("work", "far")].failures == failures

@@ -38,11 +38,12 @@ def graph(*names: str) -> Graph:
 
 @pytest.fixture
 def looking(monkeypatch: pytest.MonkeyPatch) -> Any:
-    def looking(helper: Helper, *running: str) -> Any:
+    def looking(helper: Helper, *running: str, rmw: str = "", own: str = "") -> Any:
         monkeypatch.setenv("ROS_DOMAIN_ID", "7")
+        monkeypatch.setenv("RMW_IMPLEMENTATION", own)
         monkeypatch.setattr(module, "ros_python", lambda python: python)
         monkeypatch.setattr(module, "HostLink", lambda *_: helper)
-        monkeypatch.setattr(module, "processes", lambda: {name: NodeProcess("", name) for name in running})
+        monkeypatch.setattr(module, "processes", lambda: {name: NodeProcess("", name, rmw=rmw) for name in running})
         return live_graph()
 
     return looking
@@ -62,6 +63,19 @@ def test_a_node_that_stays_away_is_told_after_some_looks(looking: Any) -> None:
     assert [node.name for node in found.nodes] == ["/guard"]
     assert found.notes == ("the ports of /lidar: a process here is that node, but the graph lacks it; import again",)
     assert helper.asked == 4
+
+
+@pytest.mark.parametrize(
+    ("rmw", "own", "looks"),
+    [("rmw_zenoh_cpp", "", 1), ("rmw_fake", "rmw_fake", 4), ("", "rmw_fake", 1), ("", "", 4)],
+    ids=["another", "the same", "the usual one", "the usual one here, too"],
+)
+def test_a_node_with_another_middleware_is_not_waited_for(looking: Any, rmw: str, own: str, looks: int) -> None:
+    helper = Helper(graph("/guard"))
+    found = looking(helper, "/guard", "/lidar", rmw=rmw, own=own)
+    assert helper.asked == looks
+    (note,) = found.notes
+    assert ("another RMW_IMPLEMENTATION than rmw_fake" in note) is (looks == 1)
 
 
 def test_a_graph_without_nodes_is_refused_with_what_may_be_wrong(looking: Any) -> None:

@@ -9,6 +9,7 @@ from itertools import islice, pairwise
 from types import SimpleNamespace
 from typing import cast
 
+import msgspec
 import pytest
 from cfgplan_runtime.children.handover import Handover
 from cfgplan_runtime.children.ports import Ports
@@ -215,3 +216,37 @@ def test_a_unit_that_does_not_tell_its_state_is_replaced_all_the_same(
     eventually(lambda: len(listener.received) > received + 5)
     runtime.close()
     listener.join()
+
+
+def test_a_state_that_comes_again_changes_nothing_in_a_unit_that_makes_steps(run_units: StartRuntime) -> None:
+    high, _ = modes("Tally")
+    runtime = run_units(source(), high)
+    runtime.apply(start(unit("count.1"), unit("high.0", topic="/result", x="count.1/n")))
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 20)
+    zero = msgspec.msgpack.encode(0)
+    runtime._executor.call(lambda: runtime.supervisor.backend.give_state("high.0", zero, {}))
+    received = len(listener.received)
+    eventually(lambda: len(listener.received) > received + 20)
+    runtime.close()
+    listener.join()
+    assert {after - before for before, after in pairwise(listener.values)} == {1}
+
+
+def test_a_source_that_was_asked_for_its_state_and_stays_gives_again_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = SimpleNamespace(now_ns=0)
+    monkeypatch.setattr("cfgplan_runtime.children.handover.time.monotonic_ns", lambda: clock.now_ns)
+    said = list[object]()
+    handover = Handover(
+        StepQueue([], start="all", tolerance_ns=0, limit=1),
+        cast("Ports", SimpleNamespace(inputs={}, say=said.append)),
+        3,
+    )
+    handover.ask_state({})
+    handover.tell(b"state")
+    assert handover.pause_ns > clock.now_ns
+    handover.stay()
+    assert handover.pause_ns <= clock.now_ns
+    handover.ask_state({})
+    handover.stay()
+    assert not handover.is_state_due

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from cfgplan_runtime.children.rehearsal import rehearse
+from cfgplan_runtime.children.rehearsal import fill_gaps, rehearse
 from cfgplan_runtime.supervision.events import UnitPrinted
 from watching import StartRuntime, seen
 from world import eventually, source, start, unit
@@ -21,6 +21,18 @@ def test_a_rehearsal_leaves_nothing_behind() -> None:
     assert {*sys.modules} == modules
     assert sys.path == path
     assert len(list(DESCRIPTORS.iterdir())) == descriptors
+
+
+def test_blocks_that_are_taken_after_gaps_were_filled_lie_in_few_pages() -> None:
+    def pages() -> int:
+        return len({id(block) >> 12 for block in [bytes(64) for _ in range(100)]})
+
+    blocks = [bytes(64) for _ in range(20_000)]
+    del blocks[::50]
+    assert pages() > 50, "there are gaps"
+    taken = fill_gaps()
+    assert pages() < 10
+    assert len(taken) > 400
 
 
 def test_each_unit_has_random_numbers_of_its_own(run_units: StartRuntime) -> None:

@@ -10,11 +10,13 @@ from unittest import mock
 
 import pytest
 from cfgplan_runtime import ApplyError, Patience, SimulatedBackend, StaleChangeSetError, Supervisor
+from cfgplan_runtime.children.unit_order import order_digest
 from cfgplan_runtime.errors import NoSourceError
-from cfgplan_runtime.supervision.backend import Found, Inlet, StoppingUnit
+from cfgplan_runtime.supervision.backend import Failures, Found, Inlet, StoppingUnit
 from cfgplan_runtime.supervision.events import (
     Applied,
     Event,
+    FailuresKept,
     HelperAlive,
     HelperHung,
     HostLost,
@@ -22,6 +24,7 @@ from cfgplan_runtime.supervision.events import (
     RolledBack,
     UnitCutShort,
     UnitDied,
+    UnitFound,
     UnitHung,
     UnitReady,
     UnitStopped,
@@ -627,3 +630,28 @@ def test_a_spare_on_a_host_that_is_lost_during_its_update_is_not_there_afterward
     spares = (at("r2", unit("work.8"), standby=True), at("r1", unit("work.7"), standby=True))
     simulation.apply(ChangeSet((*spares, at("r1", unit("count.2")))))
     assert simulation.supervisor.environment.unit.keys() == {"count.1", "count.2", "work.7", "work.9"}
+
+
+def test_a_manager_that_begins_late_is_told_the_ages_and_waits_of_that_moment() -> None:
+    backend, told = SimulatedBackend({}), list[Event]()
+    units = unit("count.1"), replace(unit("count.2"), host="r2")
+    found = Found(units, (source(),), (Host("r2"),), {}, (), {}, ages_s={"count.1": 5.0, "count.2": 5.0})
+    backend.found = lambda: found  # type: ignore[method-assign, assignment, return-value]
+    supervisor = Supervisor(backend, Environment(), told.append)
+    digest = order_digest(source())
+    backend._later(0.0, FailuresKept("count", "r1", 3, 20.0, "no camera", digest))
+    backend._later(0.0, FailuresKept("work", "r1", 1, 20.0, "no camera", digest))
+    backend.lose_host("r2")
+    while backend.now() < 5.0:
+        supervisor.pump(1.0)
+    supervisor.remember("work", "r1", None)
+    supervisor.remember("count", "r2", Failures(source(), "r2", 2, 0.5, "no lens"))
+    end_s = backend.now() + 2.0
+    while backend.now() < end_s:
+        supervisor.pump(1.0)
+    passed_s = backend.now()
+    assert supervisor.kept == [
+        UnitFound("count.1", pytest.approx(5.0 + passed_s)),
+        FailuresKept("count", "r1", 3, pytest.approx(20.0 - passed_s), "no camera", digest),
+        FailuresKept("count", "r2", 2, 0.0, "no lens", digest),
+    ]

@@ -115,8 +115,9 @@ class Scene:
             case AskPlaces(name, begun):
                 self.said.append(" ".join(["places", name, *begun]))
                 self._answer(PlacesTold(name, {inlet.port: PLACE for inlet in self.feeds if inlet.unit == name}))
-            case AskState(name, until):
+            case AskState(name, until, successor):
                 assert set(until.values()) <= {PLACE}
+                assert successor in self.alive
                 self.said.append(" ".join(["ask", name, *until]))
                 state = None if name in self.stateless else f"that of {name}".encode()
                 inputs = {inlet.port: GivenInput(PLACE) for inlet in self.feeds if inlet.unit == name}
@@ -308,15 +309,30 @@ def test_a_unit_that_an_undone_update_has_kept_is_given_the_state_by_the_next() 
     assert ", ".join(scene.said).startswith(f"wait, {NEXT}, {told}, stop high.1")
 
 
-def test_a_unit_that_waits_for_a_state_begins_with_the_last_known_one_if_its_update_is_undone_and_it_is_kept() -> None:
+def test_after_an_undone_handover_the_unit_before_goes_on_and_a_kept_heir_is_not_given_the_state_twice() -> None:
     quiet = worker("quiet")
     environment = replace(MODES, library=(*MODES.library, quiet))
     change_set = replace(LOWER, started=(*LOWER.started, unit("quiet.1", x="low.1/y")))
     scene = Scene(environment, quiet={"low.1", "quiet.1"}, failing={"quiet.1"})
     with pytest.raises(ApplyError):
         scene.carry_out(change_set, keeps_new=True)
-    assert scene.said.count("give low.1 what is known []") == 1
+    given = [said for said in scene.said if said.startswith("give")]
+    assert given == ["give low.1 that of high.1 ['x']", "give high.1 what is known []"]
+    assert scene.said.index(given[1]) < scene.said.index("cut low.1/x"), "it gives again before its heir gives nothing"
     assert {"low.1", "high.1"} <= scene.alive
+
+
+def test_a_unit_goes_on_if_its_heir_dies_before_it_has_the_state() -> None:
+    scene = Scene(MODES)
+    commands = carry_out(scene, LOWER, environment_after(scene.environment, LOWER), Patience())
+    while not isinstance(command := next(commands), AskState):
+        scene.obey(command)
+    scene.obey(command)
+    scene.alive.discard("low.1")
+    with pytest.raises(ApplyError, match=r"low\.1 died"):
+        for command in commands:
+            scene.obey(command)
+    assert "give high.1 what is known []" in scene.said
 
 
 def test_a_unit_that_an_undone_update_has_kept_waits_for_no_state_after_the_next_is_undone_too() -> None:

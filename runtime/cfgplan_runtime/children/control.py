@@ -8,7 +8,6 @@ import socket
 import struct
 from collections import deque
 from collections.abc import Iterator, Sequence
-from functools import cache
 from typing import Any, Generic, TypeVar
 
 import msgspec
@@ -22,10 +21,19 @@ _LONGEST_MESSAGE = 1 << 28
 """The most bytes of a message; the longest ones have the state of a unit."""
 
 
-@cache
+_decoders: dict[int, tuple[object, msgspec.msgpack.Decoder[Any]]] = {}
+"""By the id of a type: this type, and the decoder of its messages."""
+
+
 def decoder(incoming: object) -> msgspec.msgpack.Decoder[Any]:
-    """The decoder of the messages of a type. It is kept: a child takes over the one of its nursery."""
-    return msgspec.msgpack.Decoder(incoming)
+    """Return the decoder of the messages of a type. It is kept: a child takes over the one of its nursery.
+
+    It is found by the type's id: the hash of a union uses all of its types, so that a child copies their memory.
+    """
+    found = _decoders.get(id(incoming))
+    if found is None:
+        found = _decoders[id(incoming)] = incoming, msgspec.msgpack.Decoder(incoming)
+    return found[1]
 
 
 class ControlConnection(Generic[Incoming]):

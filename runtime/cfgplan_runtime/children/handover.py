@@ -83,12 +83,12 @@ class Handover:
 
     def waiting(self, port: str) -> int:
         """The number of elements that a port keeps."""
-        return sum(len(kept) for inlet, kept in (self._held or {}).items() if port_of(inlet) == port)
+        if self._held is None:
+            return 0
+        return sum(len(kept) for inlet, kept in self._held.items() if port_of(inlet) == port)
 
     def begin(self, inputs: Mapping[str, GivenInput]) -> None:
-        """Let steps begin at a place; without one, with the elements that came. Has no effect after the first step."""
-        if not self.is_waiting:
-            return
+        """Let the steps of a waiting unit begin at a place; without one, with the elements that came."""
         self.is_waiting, self._begun = False, None
         held = self._held or {}
         for inlet, given in inputs.items():
@@ -140,6 +140,10 @@ class Handover:
             name not in self._ports.inputs or self._ports.inputs[name].inlet.last >= moment
             for name, moment in self._asked.items()
         )
+
+    def stay(self) -> None:
+        """Continue with the own state: the unit is not replaced after all."""
+        self._asked, self._paused_until_ns = None, 0
 
     def tell(self, state: bytes | None) -> None:
         """Tell the asked state between two steps. A source then pauses: nothing says where the next one began."""

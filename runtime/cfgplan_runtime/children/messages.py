@@ -187,7 +187,10 @@ class GivenInput(msgspec.Struct, frozen=True):
 
 
 class TakeState(msgspec.Struct, tag=True):
-    """Take the state of an earlier unit, if there is one, and begin with the steps after it, by inlet."""
+    """Take the state of an earlier unit, if there is one, and begin with the steps after it, by inlet.
+
+    A unit that does not wait for a state continues with its own: it is not replaced after all.
+    """
 
     state: bytes | None
     inputs: dict[str, GivenInput]

@@ -181,19 +181,19 @@ class Ports:
                     self._watch_receiver(port, wire)
 
     def input_counts(self) -> dict[str, PortCounts]:
-        return {
-            name: PortCounts(port.elements, port.inlet.dropped, port.inlet.stale) for name, port in self.inputs.items()
-        }
+        counts: dict[str, PortCounts] = {}
+        for name, port in self.inputs.items():
+            counts[name] = PortCounts(port.elements, port.inlet.dropped, port.inlet.stale)
+        return counts
 
     def output_counts(self) -> dict[str, PortCounts]:
-        return {
-            name: PortCounts(
-                output.elements,
-                output.dropped_before + sum(sender.dropped for sender in output.senders),
-                waiting=max((sender.depth for sender in output.senders), default=0),
-            )
-            for name, output in self.outputs.items()
-        }
+        counts: dict[str, PortCounts] = {}
+        for name, output in self.outputs.items():
+            dropped, waiting = output.dropped_before, 0
+            for sender in output.senders:
+                dropped, waiting = dropped + sender.dropped, max(waiting, sender.depth)
+            counts[name] = PortCounts(output.elements, dropped, waiting=waiting)
+        return counts
 
     def _hear(self) -> None:
         if not self._control.flush():

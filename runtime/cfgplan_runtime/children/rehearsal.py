@@ -1,11 +1,13 @@
 """A rehearsal of a unit, in the process that forks units.
 
 Python changes its own memory while code runs for the first times: it specializes the code, and fills caches. A child
-that is forked afterwards shares these pages, instead of having its own copy of each.
+that is forked afterwards shares these pages, instead of having its own copy of each. It needs copies, too, of pages in
+which it takes a free block beside others' objects, so these blocks are taken before.
 """
 
 from __future__ import annotations
 
+import gc
 import socket
 import sys
 from collections.abc import Callable
@@ -20,6 +22,10 @@ from cfgplan_runtime.streams.payload import PayloadEncoder
 
 _TIMES = 20
 """Python 3.11 specializes code after 8 calls."""
+_POOL, _POOL_HEAD, _LARGEST_BLOCK = 16_384, 48, 512
+"""Bytes of a pool of Python's allocator, of its head, and of its largest blocks. All blocks of a pool have one size."""
+_MOST_TAKEN = 1 << 20
+"""The most bytes that are taken in blocks of one size, if the allocator is another one."""
 
 
 def unchanged(x: object) -> object:
@@ -53,6 +59,22 @@ def rehearse(begin: Callable[[], None]) -> None:
         sys.path[:] = path
         for name in sys.modules.keys() - modules:
             del sys.modules[name]
+
+
+def fill_gaps() -> list[bytes]:
+    """Take the free blocks of pools that are in use. Returns the taken blocks; they are free again once it is gone."""
+    gc.collect()  # empties Python's lists of free objects
+    taken = list[bytes]()
+    head = sys.getsizeof(b"")
+    for size in range(_POOL_HEAD, _LARGEST_BLOCK + 1, 16):
+        in_a_row = last = 0
+        for _ in range(_MOST_TAKEN // size):
+            block = bytes(size - head)
+            taken.append(block)
+            in_a_row, last = in_a_row + 1 if id(block) == last + size else 0, id(block)
+            if in_a_row >= (_POOL - _POOL_HEAD) // size - 2:  # it is the only one in its pool
+                break
+    return taken
 
 
 def _run(order: UnitOrder) -> None:

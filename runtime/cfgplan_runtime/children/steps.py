@@ -59,13 +59,19 @@ class StepQueue:
         counts = counts or {}
         self._slots = {port: [slot(port, 1 + n) for n in range(count)] for port, count in counts.items()}
         """The inlets of each port that takes several streams; a port that takes all gets them as streams come."""
-        of_port = {port: self._slots.get(port, [port]) for port in ports}
-        self._waiting: dict[str, deque[Element]] = {
-            inlet: deque() for port in ports if port in starting for inlet in of_port[port]
-        }
+        self._waiting: dict[str, deque[Element]] = {}
         self._latest: dict[str, Element] = {}
         self._open = {port for port, count in counts.items() if count == ALL}
-        self._needed = [inlet for port in ports if port not in loose | self._open for inlet in of_port[port]]
+        self._needed: list[str] = []
+        self.inlets: list[str] = []
+        """The inlets that exist from the beginning."""
+        for port in ports:
+            for inlet in self._slots.get(port, (port,)):
+                self.inlets.append(inlet)
+                if port in starting:
+                    self._waiting[inlet] = deque()
+                if port not in loose | self._open:
+                    self._needed.append(inlet)
         self._needed_open = [self._slots[port] for port in self._open - loose]
         self._starting_open = self._open & starting
         self._loose = loose
@@ -74,8 +80,6 @@ class StepQueue:
         self._start = start
         self._tolerance_ns = tolerance_ns
         self._limit = limit
-        self.inlets = [inlet for inlets in of_port.values() for inlet in inlets]
-        """The inlets that exist from the beginning."""
         self.dropped = dict.fromkeys(ports, 0)
         """The number of elements dropped for lack of room, by port."""
         self.skipped = dict.fromkeys(ports, 0)
@@ -83,7 +87,10 @@ class StepQueue:
 
     def waiting(self, port: str) -> int:
         """The number of elements that wait at a port."""
-        return sum(len(self._waiting.get(inlet, ())) for inlet in self._slots.get(port, (port,)))
+        found = 0
+        for inlet in self._slots.get(port, (port,)):
+            found += len(self._waiting.get(inlet, ()))
+        return found
 
     def is_full(self, inlet: str) -> bool:
         return len(self._waiting.get(inlet, ())) >= self._limit

@@ -201,9 +201,11 @@ class UnitChild:
                 self._handover.ask_places(begun)
             case messages.TellState(until):
                 self._handover.ask_state(until)
-            case messages.TakeState(state, inputs):
+            case messages.TakeState(state, inputs) if self._handover.is_waiting:
                 self._set_state(state)
                 self._handover.begin(inputs)
+            case messages.TakeState():
+                self._handover.stay()
             case messages.Finish():
                 self._ports.drain()
                 self._is_finishing = True
@@ -405,16 +407,14 @@ class UnitChild:
     def _input_counts(self) -> dict[str, messages.PortCounts]:
         """The counts of each port, of all its streams together."""
         steps, by_inlet = self._steps, self._ports.input_counts()
-        counts = dict[str, messages.PortCounts]()
+        counts: dict[str, messages.PortCounts] = {}
         for port in self._order.inputs:
-            of_port = [counts for inlet, counts in by_inlet.items() if port_of(inlet) == port]
-            counts[port] = messages.PortCounts(
-                sum(one.elements for one in of_port),
-                sum(one.dropped for one in of_port) + steps.dropped[port],
-                sum(one.stale for one in of_port),
-                steps.skipped[port],
-                steps.waiting(port) + self._handover.waiting(port),
-            )
+            elements, dropped, stale = 0, steps.dropped[port], 0
+            for inlet, one in by_inlet.items():
+                if port_of(inlet) == port:
+                    elements, dropped, stale = elements + one.elements, dropped + one.dropped, stale + one.stale
+            waiting = steps.waiting(port) + self._handover.waiting(port)
+            counts[port] = messages.PortCounts(elements, dropped, stale, steps.skipped[port], waiting)
         return counts
 
     def _set_state(self, state: bytes | None) -> None:

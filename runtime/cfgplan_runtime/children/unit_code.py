@@ -11,11 +11,13 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import inspect
+import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from functools import partial
+from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import GeneratorType, ModuleType
 from typing import Any
@@ -65,7 +67,7 @@ class UnitCode:
         self, source: str, params: Mapping[str, object], outputs: Sequence[str], *, folder: str, is_source: bool
     ) -> None:
         self._outputs = tuple(outputs)
-        found = find_source(source, Path(folder))
+        found = find_source(source, folder)
         made: Any = found(**params) if inspect.isclass(found) else partial(found, **params)
         self._object = made
         self._produce: Iterator[Any] | None = None
@@ -134,12 +136,12 @@ class UnitCode:
                 yield _timed(port, value)
 
 
-def find_source(source: str, folder: Path) -> Callable[..., Any]:
+def find_source(source: str, folder: str) -> Callable[..., Any]:
     """The class or function that `package.module:Name` or `folder`'s `units.py:Name` names. Raises BadSourceError."""
     place, colon, name = source.rpartition(":")
     if not (colon and place and name):
         raise BadSourceError(f"{source!r} names no unit code: write package.module:Class or units.py:Class")
-    module = _module_of_file(folder / place) if place.endswith(".py") else _module_by_name(place, folder)
+    module = _module_of_file(place, folder) if place.endswith(".py") else _module_by_name(place, folder)
     found: Any = module
     for part in name.split("."):
         found = getattr(found, part, None)
@@ -161,24 +163,28 @@ def imported_files(folder: Path) -> dict[str, int]:
     return found
 
 
-def _module_of_file(path: Path) -> ModuleType:
-    if not path.is_file():
+def _module_of_file(place: str, folder: str) -> ModuleType:
+    """Import a file of a folder. No `pathlib`: its code would take memory of each unit (see `rehearsal`)."""
+    path = os.path.join(folder, place.removeprefix("./"))  # noqa: PTH118
+    if not os.path.isfile(path):  # noqa: PTH113
         raise BadSourceError(f"there is no file {path}")
+    parent, _, file = path.rpartition(os.sep)
+    stem = file.removesuffix(".py")
     # Processes that unit code spawns import it by this name, from the folder in sys.path.
-    name = path.stem if path.stem not in sys.modules else f"cfgplan_units_{path.stem}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise BadSourceError(f"{path} is not a Python file")
-    if str(path.parent) not in sys.path:
-        sys.path.insert(0, str(path.parent))
+    name = stem if stem not in sys.modules else f"cfgplan_units_{stem}"
+    loader = SourceFileLoader(name, path)
+    spec = importlib.util.spec_from_file_location(name, path, loader=loader)
+    assert spec is not None
+    if parent not in sys.path:
+        sys.path.insert(0, parent)
     module = sys.modules[name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    loader.exec_module(module)
     return module
 
 
-def _module_by_name(name: str, folder: Path) -> ModuleType:
-    if str(folder) not in sys.path:
-        sys.path.insert(0, str(folder))
+def _module_by_name(name: str, folder: str) -> ModuleType:
+    if folder not in sys.path:
+        sys.path.insert(0, folder)
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
+
+import msgspec
+
 from cfgplan.domain import Transformation
 from cfgplan_runtime.children.messages import UnitOrder
 
@@ -9,6 +13,12 @@ SIGN_NS = 1_000_000_000
 """Nanoseconds between two signs of life of a unit that works."""
 _IDLE_SIGN_NS = 4_000_000_000
 """The most nanoseconds between two signs of life of an idle unit."""
+
+
+def order_digest(transformation: Transformation) -> str:
+    """The digest of the order that starts a unit of a transformation, the same for each unit."""
+    order = msgspec.json.encode(unit_order("", transformation, None), order="deterministic")
+    return hashlib.sha256(order).hexdigest()
 
 
 def unit_order(unit: str, transformation: Transformation, state: bytes | None) -> UnitOrder:

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-
-import msgspec
 
 from cfgplan.domain import ComputationUnit, Host, Publication, Subscription, Transformation
 from cfgplan_runtime.children.messages import Release
@@ -117,26 +114,20 @@ def _stopping(held: Mapping[str, Held]) -> dict[str, str]:
     }
 
 
-def failures_kept(
-    host: str, held: Held, library: Mapping[str, Transformation], folder: Path
-) -> list[events.FailuresKept]:
-    """The failures on a host of the transformations whose start order and code have not changed."""
+def failures_kept(host: str, held: Held, folder: Path) -> list[events.FailuresKept]:
+    """The failures on a host whose code has not changed since. The transformation may be started otherwise now: see
+    `FailuresKept.is_of`.
+    """
     return [
-        events.FailuresKept(label, host, one.number, one.at(held.now_s).left_s, one.cause)
+        events.FailuresKept(label, host, one.number, one.at(held.now_s).left_s, one.cause, one.digest)
         for label, one in sorted(held.failures.items())
-        if label in library and one.digest == start_digest(library[label], folder)
+        if one.code == code_digest(one.source, folder)
     ]
 
 
-def start_digest(transformation: Transformation, folder: Path) -> str:
-    """The digest of the order that starts a unit of a transformation, and of its code."""
-    order = msgspec.json.encode(unit_order("", transformation, None), order="deterministic")
-    return hashlib.sha256(order + (code_digest(transformation, folder) or "").encode()).hexdigest()
-
-
-def code_digest(transformation: Transformation, folder: Path) -> str | None:
-    """The digest of a transformation's source file, which is relative to a folder; None without such a file."""
-    file = source_file(transformation.source or "", folder)
+def code_digest(source: str | None, folder: Path) -> str | None:
+    """The digest of the file of a source, which is relative to a folder; None without such a file."""
+    file = source_file(source or "", folder)
     return None if file is None else digest_of(file)
 
 
@@ -152,21 +143,30 @@ def _handovers(held: Mapping[str, Held]) -> tuple[set[tuple[str, str]], dict[str
     undone, replaced = set[tuple[str, str]](), dict[str, str]()
     for units in by_name.values():
         waiting = {place for place, known in units.items() if known.handover == "waits"}
-        asked = [place for place, known in units.items() if known.handover == "is asked"]
-        new = [place for place, known in units.items() if known.handover == "has it" and _is_connected(held, *place)]
+        new = {
+            unit
+            for (host, unit), known in units.items()
+            if known.handover == "has it" and _is_connected(held, host, unit)
+        }
         if len(waiting) < len(units):
             undone |= waiting
-        if not waiting and len(asked) == len(new) == 1:  # units that share a state in other ways are left to plans
-            replaced[asked[0][1]] = asked[0][0]
+        if not waiting:
+            for (host, unit), known in units.items():
+                if known.handover == "is asked" and known.successor in new:
+                    replaced[unit] = host
     return undone, replaced
 
 
 def _states_given(held: Mapping[str, Held], kept: Mapping[str, str], states: Mapping[str, bytes]) -> Iterator[OrderTo]:
-    """Yield orders that let waiting kept units begin: the unit whose state they wait for is gone."""
+    """Yield orders that let kept units continue: those that wait for the state of a unit that is gone, and those
+    that were asked for their state and stay.
+    """
     for unit, host in kept.items():
         known = held[host].units[unit]
         if known.handover == "waits":
             yield host, GiveStateOrder(unit, states.get(known.order.state_name or ""), {})
+        elif known.handover == "is asked":
+            yield host, GiveStateOrder(unit, None, {})
 
 
 def _is_connected(held: Mapping[str, Held], host: str, unit: str) -> bool:

@@ -16,6 +16,7 @@ from typing import Literal
 
 import msgspec
 
+from cfgplan import __version__
 from cfgplan.domain import MANAGER
 from cfgplan.errors import InputError
 from cfgplan_runtime.children.messages import Export, Import, Marked, Release, TellMark
@@ -103,6 +104,8 @@ class Agent:
         self._managers = Lives()
         self._is_left = False
         """Whether the present manager has ended its run. Its key may stay alive for a moment."""
+        self._unreadable: tuple[orders.Session, orders.OtherVersionError] | None = None
+        """The last session with an order that this version can't read. It is refused as a whole."""
         self._superseded: dict[str, tuple[float, orders.Session]] = {}
         """For each manager that was obeyed before: when it is told next that its session is over, and the session. Told
         at once, it would replan with the hosts that have not heard of the new one yet. Told once, it might be
@@ -209,7 +212,7 @@ class Agent:
                 self._owes_welcome = False
                 run = str(self._backend.run_folder.path)
                 self._held.now_s = time.monotonic()
-                self._say(orders.Welcome(run, self._held, self._heartbeats.places, dict(self._states)))
+                self._say(orders.Welcome(run, self._held, self._heartbeats.places, dict(self._states), __version__))
                 if self._lost:
                     self._say(orders.report_of(events.ElementsLost(self.name, self._lost)))
                     self._lost = 0
@@ -242,6 +245,9 @@ class Agent:
         session = orders.read_session(name)
         if session is None or session.life != self._life:
             return
+        if self._unreadable is not None and session == self._unreadable[0]:
+            self._refuse_unreadable(*self._unreadable)
+            return
         channel = self._channel
         if channel is None or session != channel.session:
             if kind == orders.HEARD:
@@ -249,20 +255,45 @@ class Agent:
             if channel is not None and not _supersedes(session, channel.session):
                 self._refuse(session, channel.session, is_obeyed=self._has_living_manager)
                 return
-            if channel is not None and session.manager != channel.session.manager:
-                self._superseded[channel.session.manager] = time.monotonic() + LEASE_S, channel.session
-                if len(self._superseded) > _MOST_SUPERSEDED:
-                    del self._superseded[next(iter(self._superseded))]
-                self._held.term = channel.session.term
-            channel = self._channel = orders.ReliableChannel(self._link, self.name, MANAGER, session, orders.Order)
-            self._orders.clear()
-            self._is_left = False
+            channel = orders.ReliableChannel(self._link, self.name, MANAGER, session, orders.Order)
         try:
             heard = channel.hear(kind, head, payload, time.monotonic())
-            self._orders += heard
-            self._is_left = self._is_left or any(isinstance(order, orders.LeaveOrder) for order in heard)
-        except msgspec.MsgspecError as error:
-            self._tell_user(f"an order of another version of cfgplan is not carried out: {error}")
+        except orders.OtherVersionError as error:
+            self._refuse_unreadable(session, error)
+            return
+        if channel is not self._channel:
+            self._enter(channel)
+        self._orders += heard
+        self._is_left = self._is_left or any(isinstance(order, orders.LeaveOrder) for order in heard)
+
+    def _enter(self, channel: orders.ReliableChannel[orders.Order]) -> None:
+        """Obey the manager of a new session."""
+        before = self._channel
+        if before is not None and channel.session.manager != before.session.manager:
+            self._superseded[before.session.manager] = time.monotonic() + LEASE_S, before.session
+            if len(self._superseded) > _MOST_SUPERSEDED:
+                del self._superseded[next(iter(self._superseded))]
+            self._held.term = before.session.term
+        self._channel = channel
+        self._orders.clear()
+        self._is_left = False
+
+    def _refuse_unreadable(self, session: orders.Session, error: orders.OtherVersionError) -> None:
+        """Refuse a session with an order that this version can't read: none that came with it is carried out, and the
+        units keep running. Its manager is told again whenever it says something.
+        """
+        if self._unreadable is None or self._unreadable[0] != session:
+            self._unreadable = session, error
+            theirs = f"cfgplan {error.theirs}" if error.theirs else "an unknown version of cfgplan"
+            self._tell_user(
+                f"the orders of a run that has {theirs} are refused, since this agent has cfgplan {__version__} and "
+                f"can't read one of them ({error}): install the same version on both, and start this agent again"
+            )
+        if self._channel is not None and self._channel.session == session:
+            self._channel = None
+            self._orders.clear()
+        put = self._link.publisher(crossing_key(self.name, orders.REFUSE, MANAGER, str(session)), "orders")
+        put(b"", f"{orders.OTHER_VERSION} {__version__} {error}".encode())
 
     def _is_alive(self, manager: str) -> bool:
         return self._managers.has(f"{alive_key(MANAGER)}/{manager}", time.monotonic())
@@ -330,9 +361,9 @@ class Agent:
                 backend.hold(unit)
             case orders.AskPlacesOrder(unit, begun):
                 backend.ask_places(unit, begun)
-            case orders.AskStateOrder(unit, until):
-                self._note_handover(unit, "is asked")
-                backend.ask_state(unit, until)
+            case orders.AskStateOrder(unit, until, successor):
+                self._note_handover(unit, "is asked", successor)
+                backend.ask_state(unit, until, successor)
             case orders.GiveStateOrder(unit, state, inputs):
                 self._note_handover(unit, "has it")
                 backend.give_state(unit, state, inputs)
@@ -372,9 +403,9 @@ class Agent:
             case TellMark():
                 backend.tell_relay(order)
 
-    def _note_handover(self, unit: str, part: Literal["waits", "has it", "is asked"]) -> None:
+    def _note_handover(self, unit: str, part: Literal["waits", "has it", "is asked"], successor: str = "") -> None:
         if unit in self._held.units:
-            self._held.units[unit].handover = part
+            self._held.units[unit].handover, self._held.units[unit].successor = part, successor
 
     def _hold_wire(self, order: orders.ConnectOrder) -> None:
         held = self._held

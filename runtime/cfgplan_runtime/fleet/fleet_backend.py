@@ -17,7 +17,7 @@ from cfgplan.errors import InputError
 from cfgplan_runtime.children.messages import Flow, GivenInput, ImportUnused
 from cfgplan_runtime.children.unit_order import unit_order
 from cfgplan_runtime.fleet import orders, presence
-from cfgplan_runtime.fleet.adoption import adopt, code_digest, failures_kept, start_digest
+from cfgplan_runtime.fleet.adoption import adopt, code_digest, failures_kept
 from cfgplan_runtime.fleet.certificates import Validity
 from cfgplan_runtime.fleet.routes import Counts, OrderTo, Routes
 from cfgplan_runtime.fleet.tunnels import RemoteTopics, TunnelClient, TunnelServer
@@ -79,8 +79,10 @@ class FleetBackend:
         """For each topic the host that was asked for, and the host where it is."""
         self._unplaced: set[str] = set()
         """Topics without a required host, while no host has joined."""
-        self._failures: dict[str, dict[str, orders.HeldFailures | None]] = {}
-        """By host and label: the failures that were to be kept last, with the time on this backend's clock."""
+        self._failures: dict[str, dict[str, orders.HeldFailures]] = {}
+        """By host and label: the failures that are to be kept, with the time on this backend's clock."""
+        self._settled: set[str] = set()
+        """The hosts that have reported the failures that they had kept for this manager."""
         self._routes = Routes(run_folder.id)
         self._counts = Counts()
         self._library = library
@@ -154,10 +156,15 @@ class FleetBackend:
     def remember(self, label: str, host: str | None, failures: Failures | None) -> None:
         if host is None:
             return
-        kept = None
-        if failures is not None:
-            digest = start_digest(failures.transformation, self._folder)
-            kept = orders.HeldFailures(failures.number, failures.left_s, failures.cause, digest, self.now())
+        if failures is None:
+            self._failures.get(host, {}).pop(label, None)
+            self._presence.say(host, orders.KeepFailuresOrder(label, None))
+            return
+        source = failures.transformation.source or ""
+        code = code_digest(source, self._folder)
+        kept = orders.HeldFailures(
+            failures.number, failures.left_s, failures.cause, failures.digest, source, code, self.now()
+        )
         self._failures.setdefault(host, {})[label] = kept
         self._presence.say(host, orders.KeepFailuresOrder(label, kept))
 
@@ -175,7 +182,8 @@ class FleetBackend:
         self._note_place(unit, host)
         order = unit_order(unit, transformation, state)
         self._presence.say(
-            there, orders.StartOrder(transformation.label, order, code_digest(transformation, self._folder), spare)
+            there,
+            orders.StartOrder(transformation.label, order, code_digest(transformation.source, self._folder), spare),
         )
 
     def prepare(self, spare: str, transformation: Transformation, host: str | None) -> None:
@@ -186,7 +194,7 @@ class FleetBackend:
         self._note_place(spare, host)
         order = unit_order(spare, transformation, None)
         self._presence.say(
-            there, orders.PrepareOrder(transformation.label, order, code_digest(transformation, self._folder))
+            there, orders.PrepareOrder(transformation.label, order, code_digest(transformation.source, self._folder))
         )
 
     def discard(self, spare: str) -> None:
@@ -205,8 +213,8 @@ class FleetBackend:
     def ask_places(self, unit: str, begun: Collection[str]) -> None:
         self._presence.say(self._units.get(unit), orders.AskPlacesOrder(unit, list(begun)))
 
-    def ask_state(self, unit: str, until: Mapping[str, Moment]) -> None:
-        self._presence.say(self._units.get(unit), orders.AskStateOrder(unit, dict(until)))
+    def ask_state(self, unit: str, until: Mapping[str, Moment], successor: str) -> None:
+        self._presence.say(self._units.get(unit), orders.AskStateOrder(unit, dict(until), successor))
 
     def give_state(self, unit: str, state: bytes | None, inputs: Mapping[str, GivenInput]) -> None:
         self._presence.say(self._units.get(unit), orders.GiveStateOrder(unit, state, dict(inputs)))
@@ -283,7 +291,7 @@ class FleetBackend:
                 try:
                     self._understand(host.name, message)
                 except msgspec.MsgspecError as error:
-                    self._presence.leave_alone(host, f"its agent is of another version of cfgplan: {error}")
+                    self._presence.leave_alone(host, orders.other_version(host.channel.theirs or "", error))
 
     def _lose(self, host: presence.HostState, cause: str) -> None:
         self._reaching.lose(host.life)
@@ -358,19 +366,19 @@ class FleetBackend:
             self._presence.say(host, order)
 
     def _settle_failures(self, host: presence.HostState) -> None:
-        """Report the failures that a joined host has kept for this manager; send a host that is back the present ones.
+        """Report the failures that a host has kept for this manager when it joins; send it the present ones when it is
+        back.
 
-        Failures of transformations whose start order or code has changed are forgotten.
+        All others are forgotten there: those of code that has changed, and those that were forgotten while it was away.
         """
-        known, kept = (
-            self._failures.get(host.name, {}),
-            failures_kept(host.name, host.held, self._library, self._folder),
-        )
+        known = self._failures.get(host.name, {})
+        kept = [] if host.name in self._settled else failures_kept(host.name, host.held, self._folder)
+        self._settled.add(host.name)
         self._events += [one for one in kept if one.transformation not in known]
-        for label in host.held.failures.keys() - {one.transformation for one in kept}:
+        for label in host.held.failures.keys() - {one.transformation for one in kept} - known.keys():
             self._presence.say(host.name, orders.KeepFailuresOrder(label, None))
         for label, failures in known.items():
-            self._presence.say(host.name, orders.KeepFailuresOrder(label, failures and failures.at(self.now())))
+            self._presence.say(host.name, orders.KeepFailuresOrder(label, failures.at(self.now())))
 
     def _note_place(self, unit: str, host: str | None) -> None:
         (self._anywhere.add if host is None else self._anywhere.discard)(unit)

@@ -64,9 +64,9 @@ def left_units(fleet: Fleet, environment: Environment, folder: Path) -> LeftUnit
     adoption = adopt("", held, environment.transformation)
     found = adoption.found
     running = Environment() if found is None else Environment(found.units, found.library, hosts=found.hosts)
-    library = environment.transformation
-    failures = [one for host, here in held.items() for one in failures_kept(host, here, library, folder)]
-    return LeftUnits(running, tuple(adoption.ended), tuple(failures))
+    failures = [one for host, here in held.items() for one in failures_kept(host, here, folder)]
+    known = tuple(one for one in failures if one.is_of(environment.transformation.get(one.transformation)))
+    return LeftUnits(running, tuple(adoption.ended), known)
 
 
 @contextmanager

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Generic, Literal, NamedTuple, TypeAlias, TypeVar
 
 import msgspec
 
+from cfgplan import __version__
 from cfgplan.domain import Stream
 from cfgplan_runtime.children.messages import (
     CrossingCounts,
@@ -18,13 +20,15 @@ from cfgplan_runtime.children.messages import (
     UnitOrder,
 )
 from cfgplan_runtime.streams import crossing
-from cfgplan_runtime.streams.element import Moment
+from cfgplan_runtime.streams.element import Buffer, Moment
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 from cfgplan_runtime.supervision import events
 from cfgplan_runtime.supervision.backend import Inlet, Usage
 
 SAY, HEARD, REFUSE = "say", "heard", "refuse"
 """Kinds of keys: for messages, for their acknowledgements, and for the refusal of a manager."""
+OTHER_VERSION = "version"
+"""The first word of the refusal by an agent that can't read an order. Its version and the cause follow."""
 
 Spoken = TypeVar("Spoken")
 
@@ -58,11 +62,12 @@ def read_session(text: str) -> Session | None:
 class GreetOrder(msgspec.Struct, tag=True):
     """The first order: end all units that the manager does not adopt (`adopts`), then answer Welcome.
 
-    `secret` signs the heartbeats of the session.
+    `secret` signs the heartbeats of the session. `version` is that of the manager's cfgplan.
     """
 
     adopts: bool
     secret: bytes = b""
+    version: str = ""
 
 
 class ClockOrder(msgspec.Struct, tag=True):
@@ -120,6 +125,7 @@ class AskPlacesOrder(msgspec.Struct, tag=True):
 class AskStateOrder(msgspec.Struct, tag=True):
     unit: str
     until: dict[str, Moment]
+    successor: str = ""
 
 
 class GiveStateOrder(msgspec.Struct, tag=True):
@@ -169,13 +175,16 @@ class RenewOrder(msgspec.Struct, tag=True):
 class HeldFailures(msgspec.Struct):
     """The failures in a row of a transformation on a host: it must not be started again for `left_s` seconds.
 
-    `digest` is that of its start order and its code. `at_s` is the time of the message on the clock of who keeps it.
+    `digest` is that of its start order, and `code` that of its source file on the manager's computer; None without such
+    a file. `at_s` is the time of the message on the clock of who keeps it.
     """
 
     number: int
     left_s: float
     cause: str
     digest: str
+    source: str = ""
+    code: str | None = None
     at_s: float = 0.0
 
     def at(self, now_s: float) -> HeldFailures:
@@ -237,7 +246,8 @@ class HeldUnit(msgspec.Struct):
     it. It was started at `since_s` on the host's clock.
 
     `handover` is its part in the last hand-over of a state: a new unit waits for the state and then has it; the unit
-    that it replaces is asked for the state.
+    that it replaces is asked for the state, for this `successor`. If it is not replaced after all, it has its state
+    again.
     """
 
     label: str
@@ -246,6 +256,7 @@ class HeldUnit(msgspec.Struct):
     stop: HeldStop | None = None
     since_s: float = 0.0
     handover: Literal["", "waits", "has it", "is asked"] = ""
+    successor: str = ""
 
 
 class HeldWire(msgspec.Struct):
@@ -307,12 +318,14 @@ class HeldState(msgspec.Struct):
 class Welcome(msgspec.Struct, tag=True):
     """The agent obeys from now on. `held` has its units, wires and topics, and `states` the last states by name;
     sockets of topics are in the folder `run`. It answers heartbeats at the addresses `beats`, written `HOST PORT`.
+    `version` is that of the agent's cfgplan.
     """
 
     run: str
     held: Held
     beats: tuple[str, ...] = ()
     states: dict[str, HeldState] = {}
+    version: str = ""
 
 
 class EventReport(msgspec.Struct, tag=True):
@@ -367,6 +380,30 @@ def event_of(message: EventReport) -> events.Event:
     return event
 
 
+class OtherVersionError(Exception):
+    """A message of another version of cfgplan can't be read. `theirs` is this version; empty if it is not known."""
+
+    def __init__(self, theirs: str, cause: object) -> None:
+        super().__init__(str(cause))
+        self.theirs = theirs
+
+
+def other_version(theirs: str, cause: object) -> str:
+    """Why a manager can't use an agent that has another version of cfgplan, with the mend."""
+    known = f"cfgplan {theirs}" if theirs else "an unknown version of cfgplan"
+    again = ", in another state" if theirs == __version__ else ""
+    return (
+        f"its agent has {known}{again}, and this run has cfgplan {__version__}: they do not understand each other "
+        f"({cause}); install the same version on both, and start the agent again"
+    )
+
+
+class _Versioned(msgspec.Struct):
+    """The version in a message whose other fields may be unknown."""
+
+    version: str = ""
+
+
 class ReliableChannel(Generic[Spoken]):
     """One end of a session. No method blocks. `pump` sends all messages since its last call as one segment, and repeats
     it until it has arrived.
@@ -377,6 +414,8 @@ class ReliableChannel(Generic[Spoken]):
         self.is_broken = False
         """Whether messages are lost for good, so that a new session is needed."""
         self._decoder: msgspec.msgpack.Decoder[list[Spoken]] = msgspec.msgpack.Decoder(list[incoming])  # type: ignore[valid-type]
+        self.theirs: str | None = None
+        """The version of cfgplan at the other end, by its first message; empty if that does not say it."""
         self._unsent: list[msgspec.Struct] = []
         self._both = crossing.DuplexChannel(crossing.Sending(granted=crossing.FRAMES_UNDER_WAY))
         self._put = link.publisher(crossing.crossing_key(me, SAY, other, str(session)), "orders")
@@ -389,11 +428,22 @@ class ReliableChannel(Generic[Spoken]):
     def hear(self, kind: str, head: bytes, payload: bytes, now_s: float) -> list[Spoken]:
         """Take a message at one of the session's keys. Returns the messages that can be handled now, in order.
 
-        Raises msgspec.MsgspecError for a message of another version.
+        Raises OtherVersionError for a message of another version: none of the messages that came with it is returned.
         """
         segments = self._both.take(kind == HEARD, head, payload, now_s)
         self.is_broken = self.is_broken or self._both.receiving.dropped > 0
-        return [message for segment in segments for message in self._decoder.decode(segment.payload)]
+        return [message for segment in segments for message in self._read(segment.payload)]
+
+    def _read(self, payload: Buffer) -> list[Spoken]:
+        if self.theirs is None:
+            self.theirs = ""
+            with suppress(msgspec.MsgspecError):
+                versions = (one.version for one in msgspec.msgpack.decode(payload, type=list[_Versioned]))
+                self.theirs = next(filter(None, versions), "")
+        try:
+            return self._decoder.decode(payload)
+        except msgspec.MsgspecError as error:
+            raise OtherVersionError(self.theirs, error) from None
 
     def pump(self, now_s: float) -> None:
         """Send the orders that are due."""

@@ -17,6 +17,7 @@ from urllib.parse import unquote
 
 import msgspec
 
+from cfgplan import __version__
 from cfgplan.domain import MANAGER
 from cfgplan.errors import InputError
 from cfgplan_runtime.fleet import orders
@@ -356,7 +357,7 @@ class Presence:
         )
         now_s = time.monotonic()
         host = self._hosts[name] = HostState(name, life, channel, Pulse(now_s, now_s), new_secret())
-        channel.say(orders.GreetOrder(adopts=self._is_beginning, secret=host.secret))
+        channel.say(orders.GreetOrder(self._is_beginning, host.secret, __version__))
 
     def _lose(self, host: HostState, cause: str) -> None:
         del self._hosts[host.name]
@@ -377,8 +378,8 @@ class Presence:
                     self._welcome(host, message)
                 else:
                     self._happened.append(AgentMessage(host, message))
-        except msgspec.MsgspecError as error:
-            self.leave_alone(host, f"its agent is of another version of cfgplan: {error}")
+        except orders.OtherVersionError as error:
+            self.leave_alone(host, orders.other_version(error.theirs, error))
 
     def leave_alone(self, host: HostState, cause: str) -> None:
         """Lose a host whose agent is alive but can't be given orders, and do not greet that agent again."""
@@ -387,11 +388,18 @@ class Presence:
             self._lose(host, cause)
 
     def _heed(self, host: HostState, refusal: bytes) -> None:
-        """Handle a refusal: leave the host to a later manager if that is alive, unless this one takes over."""
+        """Handle a refusal: leave the host to a later manager if that is alive, unless this one takes over. Leave it
+        alone if its agent can't read the orders.
+        """
+        word, _, version_and_cause = refusal.decode(errors="replace").partition(" ")
+        if word == orders.OTHER_VERSION:
+            theirs, _, cause = version_and_cause.partition(" ")
+            self.leave_alone(host, orders.other_version(theirs, cause))
+            return
         try:
             term, is_obeyed = map(int, refusal.split())
         except ValueError:
-            return  # it is of another version, or no refusal
+            return  # it is no refusal
         if is_obeyed and self._is_beginning and not self._takes_over:
             self._refusing.append(host)
         elif is_obeyed and not self._takes_over:

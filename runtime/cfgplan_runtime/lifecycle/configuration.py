@@ -136,6 +136,14 @@ def hosts_of(world: Environment) -> tuple[str, ...]:
     return tuple(sorted({t.host for t in world.library if t.host is not None}))
 
 
+def is_outdated(running: Running, world: Environment) -> bool:
+    """Whether a unit was started as an earlier version of its transformation, so that its failures say nothing about
+    the present one.
+    """
+    now = world.transformation.get(running.transformation.label)
+    return now is not None and not can_run_as(running.transformation, now)
+
+
 def check_host(world: Environment, host: str) -> None:
     """Raise InputError if a world has no host of this name."""
     hosts = hosts_of(world)
@@ -265,12 +273,11 @@ def gone_host(*hosts: str | None) -> str:
 def _as_planned(
     unit: ComputationUnit, world: Environment, hosts: Sequence[Host], situation: Situation
 ) -> ComputationUnit:
-    now, known = world.transformation.get(unit.transformation), situation.units.get(unit.id)
+    known = situation.units.get(unit.id)
     is_old = (
-        now is not None
-        and known is not None
-        and not can_run_as(known.transformation, now)
-        and situation.why_not(now.label, unit.host) is None
+        known is not None
+        and is_outdated(known, world)
+        and situation.why_not(known.transformation.label, unit.host) is None
     )
     is_there = unit.host in [host.name for host in hosts] if hosts else unit.host is None
     if is_old or not is_there or unit.id in situation.failing:

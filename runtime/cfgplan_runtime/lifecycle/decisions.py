@@ -19,7 +19,7 @@ from cfgplan_runtime.lifecycle import intake
 from cfgplan_runtime.lifecycle.back_off import BackOffs, Place
 from cfgplan_runtime.lifecycle.basis import basis_of, staleness
 from cfgplan_runtime.lifecycle.changes import ApplyPlan, RestartUnits, Stop
-from cfgplan_runtime.lifecycle.configuration import Situation, external_units, restarting, with_world
+from cfgplan_runtime.lifecycle.configuration import Situation, external_units, is_outdated, restarting, with_world
 from cfgplan_runtime.lifecycle.deliberation import Findings, Looked
 from cfgplan_runtime.lifecycle.fact_values import fact_seen, facts_fallen_silent
 from cfgplan_runtime.lifecycle.inbox import Asked, FactSeen, Item, Leave, PreviewAsked, QualityTold, Unusable
@@ -420,10 +420,13 @@ def _blamed(
     for gone, lived_s in updating.gone:
         if lived_s is not None:
             transition = transition.blamed(Place(gone.transformation, gone.host), lived_s, gone.cause, is_costly=True)
+    world = transition.state.version.world.environment
     for unit in units:
-        place = transition.state.situation.place_of(unit)
-        if place is not None and place.label not in labels:  # it was too slow, but has not died
-            transition = transition.blamed(place, 0.0, cause, is_costly=True)
+        running = transition.state.situation.units.get(unit)
+        if running is not None and running.transformation.label not in labels:  # it was too slow, but has not died
+            place = Place(running.transformation.label, running.host)
+            if not is_outdated(running, world):
+                transition = transition.blamed(place, 0.0, cause, is_costly=True)
             labels.append(place.label)
     return transition, tuple(sorted(set(labels)))
 

@@ -20,7 +20,7 @@ from cfgplan_runtime.lifecycle.changes import (
     SetFact,
     Stop,
 )
-from cfgplan_runtime.lifecycle.configuration import check_host, hosts_of, is_external
+from cfgplan_runtime.lifecycle.configuration import check_host, hosts_of, is_external, is_outdated
 from cfgplan_runtime.lifecycle.differences import difference
 from cfgplan_runtime.lifecycle.fact_values import fact_set
 from cfgplan_runtime.lifecycle.inbox import Asked, Outcome
@@ -43,7 +43,16 @@ from cfgplan_runtime.lifecycle.reports import WorldRefused
 from cfgplan_runtime.lifecycle.seen_qualities import losing_streams
 from cfgplan_runtime.lifecycle.state import Note, State, Updating
 from cfgplan_runtime.lifecycle.stream_qualities import qualities_restated
-from cfgplan_runtime.lifecycle.transitions import LearnOfFailure, Match, Matched, Respond, Tell, Terminate, Transition
+from cfgplan_runtime.lifecycle.transitions import (
+    LearnOfFailure,
+    Match,
+    Matched,
+    Remember,
+    Respond,
+    Tell,
+    Terminate,
+    Transition,
+)
 from cfgplan_runtime.supervision import events
 from cfgplan_runtime.supervision.delays import doubling_s
 
@@ -225,8 +234,13 @@ def _found(transition: Transition, unit: str, age_s: float) -> Transition:
 
 
 def _restored(transition: Transition, kept: events.FailuresKept) -> Transition:
-    """Continue with the failures on a host that an earlier manager has counted."""
-    situation = transition.state.situation
+    """Continue with the failures on a host that an earlier manager has counted, unless the world starts other units
+    now: then they are to be forgotten.
+    """
+    situation, world = transition.state.situation, transition.state.version.world.environment
+    place = Place(kept.transformation, kept.host)
+    if not kept.is_of(world.transformation.get(place.label)) and place not in situation.back_offs.records:
+        return transition.also(Remember(place, None))
     back_offs = situation.back_offs.restoring(kept, transition.at_s)
     if back_offs is situation.back_offs:
         return transition
@@ -243,7 +257,8 @@ def _gone(transition: Transition, unit: str, cause: str) -> Transition:
     gone = UnitGone(
         unit, running.transformation.label, "killed" if is_killed else note.end or "died", cause, running.host
     )
-    lived_s = None if is_killed or unit in situation.failing else transition.at_s - running.since_s
+    is_blameless = is_killed or unit in situation.failing or is_outdated(running, state.version.world.environment)
+    lived_s = None if is_blameless else transition.at_s - running.since_s
     transition = transition.situated(situation.without(unit))
     if isinstance(state.doing, Updating) and unit in state.doing.starting:  # the update's end tells what it means
         doing = replace(state.doing, gone=(*state.doing.gone, (gone, lived_s)))
@@ -333,8 +348,9 @@ def _given_up(transition: Transition, unit: str, cause: str) -> Transition:
     running, failing = transition.state.situation.units.get(unit), transition.state.situation.failing
     if running is None or unit in failing:
         return transition
-    place = Place(running.transformation.label, running.host)
-    transition = transition.blamed(place, transition.at_s - running.since_s, cause)
+    if not is_outdated(running, transition.state.version.world.environment):
+        place = Place(running.transformation.label, running.host)
+        transition = transition.blamed(place, transition.at_s - running.since_s, cause)
     return transition.situated(replace(transition.state.situation, failing=failing | {unit}))
 
 

@@ -12,7 +12,9 @@ import faulthandler
 import gc
 import importlib
 import io
+import logging
 import os
+import random
 import resource
 import selectors
 import signal
@@ -28,7 +30,7 @@ from setproctitle import setproctitle
 from cfgplan_runtime.children import messages
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.outlet_child import NO_DESCRIPTOR, OutletChild
-from cfgplan_runtime.children.rehearsal import rehearse
+from cfgplan_runtime.children.rehearsal import fill_gaps, rehearse
 from cfgplan_runtime.children.unit_child import UnitChild
 from cfgplan_runtime.children.unit_code import UNIT_VARIABLE
 from cfgplan_runtime.errors import ProgramEndedError
@@ -50,6 +52,8 @@ INTERRUPT_SIGNAL = signal.SIGUSR2
 FAILED = 70
 """Exit status of a child whose unit code failed for good; its last message (Trouble) says why."""
 
+_CALLED_AFTER_FORK = (threading, "_after_fork"), (logging, "_after_at_fork_child_reinit_locks")
+"""Functions of the standard library that `os.fork` calls in a child."""
 _SIGN_PERIOD_S = 1.0
 _SOCKETS_OF_A_CHILD = 2
 
@@ -254,6 +258,17 @@ def _tell(control: ControlConnection[messages.ToChild], trouble: messages.Troubl
     control.send(trouble)
 
 
+def _rehearse_fork() -> None:
+    """Call the functions that Python itself calls in each child, unless a thread of a preloaded module runs: they would
+    take it for ended. Then seed numpy, as a child does.
+    """
+    if threading.active_count() == 1:
+        for module, name in _CALLED_AFTER_FORK:
+            getattr(module, name, bool)()
+    random.seed()
+    _seed_numpy()
+
+
 def _seed_numpy() -> None:
     """Give this process random numbers of its own. Python seeds its own generator at a fork, numpy does not."""
     if "numpy.random" in sys.modules:
@@ -293,8 +308,8 @@ def main(arguments: Sequence[str]) -> None:
     for name in preload:
         with contextlib.suppress(Exception):  # the units that import it will report what is wrong
             importlib.import_module(name)
-    rehearse(_seed_numpy)
-    gc.collect()
+    rehearse(_rehearse_fork)
+    _taken = fill_gaps()
     gc.freeze()
     Nursery(socket.socket(fileno=int(number)), run).run()
 

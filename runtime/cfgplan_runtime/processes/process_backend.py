@@ -247,7 +247,7 @@ class ProcessBackend:
     def ask_places(self, unit: str, begun: Collection[str]) -> None:
         self._tell_unit(unit, messages.TellPlaces(list(begun)))
 
-    def ask_state(self, unit: str, until: Mapping[str, Moment]) -> None:
+    def ask_state(self, unit: str, until: Mapping[str, Moment], successor: str) -> None:  # noqa: ARG002
         self._tell_unit(unit, messages.TellState(dict(until)))
 
     def give_state(self, unit: str, state: bytes | None, inputs: Mapping[str, messages.GivenInput]) -> None:

@@ -186,7 +186,7 @@ class Ros1Backend:
     def ask_places(self, unit: str, begun: Collection[str]) -> None:  # noqa: ARG002
         self._events.append(events.PlacesTold(unit, {}))
 
-    def ask_state(self, unit: str, until: Mapping[str, Moment]) -> None:  # noqa: ARG002
+    def ask_state(self, unit: str, until: Mapping[str, Moment], successor: str) -> None:  # noqa: ARG002
         self._events.append(events.StateTold(unit, None, {}))
 
     def give_state(self, unit: str, state: bytes | None, inputs: Mapping[str, messages.GivenInput]) -> None:

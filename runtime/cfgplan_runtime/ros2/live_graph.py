@@ -29,6 +29,8 @@ _ROS_ARGUMENTS, _ROS_END = "--ros-args", "--"
 _RENAMES = ("-r", "--remap")
 _NO_PARAMETERS = ("qos_overrides.", "start_type_description_service")
 """Parameters that each node has by itself."""
+_RMW_VARIABLE, _USUAL_RMW = "RMW_IMPLEMENTATION", "rmw_fastrtps_cpp"
+"""The variable that chooses a middleware, and the one that ROS uses without it."""
 _USUAL_TIME = ("use_sim_time", False)
 _OF_ACTIONS = "/_action/"
 Named: TypeAlias = list[tuple[str, list[str]]]
@@ -84,8 +86,9 @@ class Graph(msgspec.Struct, tag=True):
 def live_graph(python: str | None = None) -> RosGraph:
     """The graph of the domain of ROS_DOMAIN_ID, as the Python that has rclpy sees it.
 
-    Reads the graph again while it lacks a node that a process of this computer runs, as it does while nodes start.
-    Raises InputError if no such Python is found (see `ros_python`), if ROS does not answer, or if the graph is empty.
+    Reads the graph again while it lacks a node that a process of this computer runs with the same middleware: nodes may
+    be starting. Raises InputError if no such Python is found (see `ros_python`), if ROS does not answer, or if the
+    graph is empty.
     """
     link: HostLink[FromHost | Graph] = HostLink(ros_python(python), f"_cfgplan_import_{os.getpid()}", FromHost | Graph)
     rmw = ""
@@ -93,7 +96,7 @@ def live_graph(python: str | None = None) -> RosGraph:
         for _ in range(_MOST_LOOKS):
             told, named = _look(link)
             rmw, running = named or rmw, processes()
-            if not _unseen(told, running):
+            if all(_is_foreign(running[node], rmw) for node in _unseen(told, running)):
                 break
     finally:
         link.close()
@@ -117,6 +120,12 @@ def _look(link: HostLink[FromHost | Graph]) -> tuple[Graph, str]:
 def _unseen(told: Graph, running: Mapping[str, NodeProcess]) -> list[str]:
     """The nodes that processes of this computer run, but the graph lacks."""
     return sorted(running.keys() - {node.name for node in told.nodes})
+
+
+def _is_foreign(process: NodeProcess, rmw: str) -> bool:
+    """Whether a node was started with another middleware than `rmw`, and therefore may never appear in the graph."""
+    usual = _USUAL_RMW if os.environ.get(_RMW_VARIABLE) else rmw
+    return rmw not in ("", process.rmw or usual)
 
 
 def _nothing_seen(rmw: str, running: Mapping[str, NodeProcess]) -> InputError:
@@ -144,8 +153,15 @@ def graph_of(told: Graph, rmw: str, running: Mapping[str, NodeProcess]) -> RosGr
     away = sorted(name for name in names if name not in running)
     if away:
         notes.append(f"what starts {some(away)}: no process on this computer says that it is that node")
-    if unseen := _unseen(told, running):
-        notes.append(f"the ports of {some(unseen)}: a process here is that node, but the graph lacks it; import again")
+    unseen = _unseen(told, running)
+    foreign = [name for name in unseen if _is_foreign(running[name], rmw)]
+    if late := [name for name in unseen if name not in foreign]:
+        notes.append(f"the ports of {some(late)}: a process here is that node, but the graph lacks it; import again")
+    if foreign:
+        notes.append(
+            f"the ports of {some(foreign)}: a process here is that node, but was started with another "
+            f"{_RMW_VARIABLE} than {rmw}"
+        )
     if not told.is_at_rest:
         notes.append("whether the graph is complete: it has not come to rest")
     nodes = [_node(node, ends, running.get(node.name)) for node in told.nodes]
@@ -200,6 +216,8 @@ class NodeProcess:
     executable: str
     arguments: tuple[str, ...] = ()
     renames: tuple[tuple[str, str], ...] = ()
+    rmw: str = ""
+    """The middleware that its environment chooses; empty if it chooses none."""
 
     def remappings(self, node: str) -> tuple[tuple[str, str], ...]:
         """Its remappings by full names."""
@@ -218,10 +236,13 @@ def processes() -> dict[str, NodeProcess]:
     for process in sorted(psutil.process_iter(), key=psutil.Process.create_time):
         with suppress(psutil.Error):
             command = process.cmdline()
-            if _ROS_ARGUMENTS in command and (process.environ().get("ROS_DOMAIN_ID", "0") or "0") == _domain():
+            if (
+                _ROS_ARGUMENTS in command
+                and ((variables := process.environ()).get("ROS_DOMAIN_ID") or "0") == _domain()
+            ):
                 named = node_process(command, Path(process.cwd()))
                 if named is not None:
-                    found[named[0]] = named[1]
+                    found[named[0]] = replace(named[1], rmw=variables.get(_RMW_VARIABLE, ""))
     return found
 
 

@@ -8,6 +8,7 @@ from typing import Protocol
 
 from cfgplan.domain import ComputationUnit, Host, Stream, Transformation
 from cfgplan_runtime.children.messages import GivenInput
+from cfgplan_runtime.children.unit_order import order_digest
 from cfgplan_runtime.streams.element import Moment
 from cfgplan_runtime.streams.inlet import port_of
 from cfgplan_runtime.streams.topic_names import is_tap
@@ -111,6 +112,11 @@ class Failures:
     left_s: float
     cause: str
 
+    @property
+    def digest(self) -> str:
+        """The digest of the order that starts a unit. The next manager gets it with FailuresKept."""
+        return order_digest(self.transformation)
+
 
 class Backend(Protocol):
     """Runs units and connects them. No method waits for its effect: that comes as an event from `wait`.
@@ -186,14 +192,16 @@ class Backend(Protocol):
         The inlets in `begun` know it from their first element on.
         """
 
-    def ask_state(self, unit: str, until: Mapping[str, Moment]) -> None:
-        """Ask a unit for its state: StateTold follows between two steps, once each inlet in `until` has received the
-        element of this moment.
+    def ask_state(self, unit: str, until: Mapping[str, Moment], successor: str) -> None:
+        """Ask a unit for its state, with which the unit `successor` continues: StateTold follows between two steps,
+        once each inlet in `until` has received the element of this moment.
         """
 
     def give_state(self, unit: str, state: bytes | None, inputs: Mapping[str, GivenInput]) -> None:
-        """Give a started unit the state of another, if there is one. Its steps begin after it, at the place of each
-        inlet in `inputs`.
+        """Give a unit that was told to `hold` the state of another, if there is one. Its steps begin after it, at the
+        place of each inlet in `inputs`.
+
+        A unit that was asked for its state, and is not replaced after all, continues with its own state instead.
         """
 
     def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import msgspec
 
+from cfgplan.domain import Transformation
 from cfgplan_runtime.children.messages import CrossingCounts, Flow, GivenInput, PortCounts, Qualities
+from cfgplan_runtime.children.unit_order import order_digest
 from cfgplan_runtime.streams.element import Moment
 
 
@@ -246,7 +248,7 @@ class ClockMoved(Event, frozen=True):
 
 
 class ElementsLost(Event, frozen=True):
-    """A lost host is back. So many of its `elements` for other hosts had not arrived, as far as it knows."""
+    """A lost host is back. As far as it knows, this number of its `elements` for other hosts had not arrived."""
 
     host: str
     elements: int
@@ -262,7 +264,8 @@ class UnitFound(Event, frozen=True):
 class FailuresKept(Event, frozen=True):
     """A host tells the next manager that a transformation has failed there `number` times in a row.
 
-    It must not be started there for another `left_s` seconds; `cause` is that of the last failure.
+    It must not be started there for another `left_s` seconds; `cause` is that of the last failure. `digest` is that of
+    the order that started its units.
     """
 
     transformation: str
@@ -270,6 +273,11 @@ class FailuresKept(Event, frozen=True):
     number: int
     left_s: float
     cause: str
+    digest: str
+
+    def is_of(self, transformation: Transformation | None) -> bool:
+        """Whether a transformation starts its units in the same way as those that have failed."""
+        return transformation is not None and order_digest(transformation) == self.digest
 
 
 class Applied(Event, frozen=True):

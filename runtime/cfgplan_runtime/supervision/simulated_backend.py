@@ -66,6 +66,7 @@ class _Unit:
     host: str | None
     is_ready: bool = False
     is_stopping: bool = False
+    is_held: bool = False
     steps: int = 0
     used_us: float = 0.0
     used_until_s: float = 0.0
@@ -241,19 +242,21 @@ class SimulatedBackend:
 
     def hold(self, unit: str) -> None:
         self.calls.append(("hold", unit))
+        if unit in self.units:
+            self.units[unit].is_held = True
 
     def ask_places(self, unit: str, begun: Collection[str]) -> None:  # noqa: ARG002
         self.calls.append(("ask places", unit))
         self._later(0.0, PlacesTold(unit, {}))
 
-    def ask_state(self, unit: str, until: Mapping[str, Moment]) -> None:  # noqa: ARG002
+    def ask_state(self, unit: str, until: Mapping[str, Moment], successor: str) -> None:  # noqa: ARG002
         self.calls.append(("ask state", unit))
         self._later(0.0, StateTold(unit, self.units[unit].state or b"", {}))
 
     def give_state(self, unit: str, state: bytes | None, inputs: Mapping[str, GivenInput]) -> None:  # noqa: ARG002
         self.calls.append(("give state", unit))
-        if unit in self.units:
-            self.units[unit].state = state
+        if unit in self.units and self.units[unit].is_held:
+            self.units[unit].state, self.units[unit].is_held = state, False
 
     def kill(self, unit: str, *, dump: bool = False) -> None:
         self.calls.append(("dump" if dump else "kill", unit))

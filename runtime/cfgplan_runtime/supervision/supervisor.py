@@ -11,10 +11,12 @@ from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, replace
 from math import inf
 
+import msgspec
+
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Transformation
 from cfgplan_runtime.errors import ApplyError, RuntimeFaultError, StaleChangeSetError
 from cfgplan_runtime.supervision import events, updates
-from cfgplan_runtime.supervision.backend import Backend, Found, Inlet
+from cfgplan_runtime.supervision.backend import Backend, Failures, Found, Inlet
 from cfgplan_runtime.supervision.listeners import LOG
 from cfgplan_runtime.supervision.observation import Observation, UnitRecord
 from cfgplan_runtime.supervision.spares import MEGABYTE, Spares
@@ -69,8 +71,10 @@ class Supervisor:
         self._library: dict[str, Transformation] = {}
         self._stopping: dict[str, _Stopping] = {}
         """Units that were told to stop before this supervisor began."""
-        self.kept: list[events.UnitFound | events.FailuresKept] = []
-        """The reports about the time before this supervisor began."""
+        self._found_s: dict[str, float] = {}
+        """When each running unit of an earlier supervisor was started."""
+        self._failures: dict[tuple[str, str], tuple[events.FailuresKept, float]] = {}
+        """By label and host: the failures that are kept for the next manager, and when they were told."""
         self._patience: dict[str, tuple[float, float]] = {}
         """By helper process of the backend: when it gave its last sign of life, and how long it may be silent."""
         self._round_s = backend.now()
@@ -217,7 +221,7 @@ class Supervisor:
         self.wiring.adopt(found.wires, found.stopping, found.last_wire)
         self.spares.adopt(self.environment, found.labor_us, self.now())
         self._states.update(found.states)
-        self.kept += [events.UnitFound(unit, age_s) for unit, age_s in found.ages_s.items()]
+        self._found_s = {unit: self.backend.now() - age_s for unit, age_s in found.ages_s.items()}
         for unit_id, stopping in found.stopping.items():
             limit_s = self._update_patience.stop_s if stopping.stop_s is None else stopping.stop_s
             told_s = self.now() - stopping.told_s
@@ -280,9 +284,9 @@ class Supervisor:
             case updates.AskPlaces(unit_id, begun):
                 self._answers.pop(unit_id, None)
                 self.backend.ask_places(unit_id, begun)
-            case updates.AskState(unit_id, until):
+            case updates.AskState(unit_id, until, successor):
                 self._answers.pop(unit_id, None)
-                self.backend.ask_state(unit_id, until)
+                self.backend.ask_state(unit_id, until, successor)
             case updates.GiveState(unit_id, state, inputs):
                 if state is None and unit_id in self._library:  # it has not died meanwhile
                     state = self._states.get(self._library[unit_id].state_name or "")
@@ -310,6 +314,27 @@ class Supervisor:
                 self.environment = environment
             case updates.WaitUntil():
                 self._wait(command)
+
+    @property
+    def kept(self) -> list[events.UnitFound | events.FailuresKept]:
+        """The present reports for a new manager: UnitFound for each unit of an earlier one, and FailuresKept."""
+        now = self.backend.now()
+        failures = [
+            msgspec.structs.replace(one, left_s=max(0.0, one.left_s - (now - told_s)))
+            for one, told_s in self._failures.values()
+        ]
+        return [*(events.UnitFound(unit, now - since_s) for unit, since_s in self._found_s.items()), *failures]
+
+    def remember(self, label: str, host: str | None, failures: Failures | None) -> None:
+        """Keep the failures of a transformation on a host for the next manager, here and in the backend; None: forget
+        them.
+        """
+        if host is not None and failures is not None:
+            kept = events.FailuresKept(label, host, failures.number, failures.left_s, failures.cause, failures.digest)
+            self._failures[label, host] = kept, self.backend.now()
+        elif host is not None:
+            self._failures.pop((label, host), None)
+        self.backend.remember(label, host, failures)
 
     def stop_s(self, unit: str) -> float | None:
         """The seconds that a unit may take to end, by its transformation; None if that has no `stop`."""
@@ -404,7 +429,7 @@ class Supervisor:
                 self._restore_outlets()
                 self.taps.note_new_outlets()
             case events.FailuresKept():
-                self.kept.append(event)
+                self._failures[event.transformation, event.host] = event, self.backend.now()
             case events.HostLost(host, cause):
                 self.hosts[host] = event
                 self._lose(host, cause)
@@ -432,6 +457,7 @@ class Supervisor:
         self._records.pop(unit, None)
         self._answers.pop(unit, None)
         self._library.pop(unit, None)
+        self._found_s.pop(unit, None)
 
     def _host_of(self, unit: str) -> str | None:
         """Return the host of a running unit; None if it has none, or does not run."""

@@ -128,10 +128,15 @@ class AskState(Command, frozen=True):
 
     unit: str
     until: Mapping[str, Moment]
+    successor: str
+    """The unit that continues with the state."""
 
 
 class GiveState(Command, frozen=True):
-    """Give a started unit a state and its place in each input; without one, the last known state of its name."""
+    """Give a unit that waits a state and its place in each input; without one, the last known state of its name.
+
+    A unit that was asked for its state continues with its own instead.
+    """
 
     unit: str
     state: bytes | None = None
@@ -322,7 +327,9 @@ class _Update:
     fresh: set[str] = field(default_factory=set)
     """The units that the update connects for the first time: new ones, and those that an undone update has kept."""
     held: set[str] = field(default_factory=set)
-    """The units that were told to wait for a state."""
+    """The units that wait for a state."""
+    asked: set[str] = field(default_factory=set)
+    """The units that were asked for their state."""
 
     @property
     def started(self) -> list[str]:
@@ -414,18 +421,21 @@ class _Update:
         places = actual.answer(heir)
         known = places.moments if isinstance(places, PlacesTold) else {}
         until = {same[name]: moment for name, moment in known.items() if name in same}
-        yield AskState(before, until)
+        self.asked.add(before)
+        yield AskState(before, until, heir)
         yield WaitUntil(lambda: actual.answer(before) is not None or before not in actual.alive, _STATE_S)
         told = actual.answer(before)
         if not isinstance(told, StateTold) or told.state is None:
             cause = "its code has no state to tell" if told else f"it did not tell its state within {_STATE_S:g} s"
             yield TellOf(StateNotExact(heir, before, cause))
             yield GiveState(heir)
+            self.held.discard(heir)
             return False
         if places is None:
             yield TellOf(StateNotExact(heir, before, f"{heir} got no element within {_PLACES_S:g} s"))
         inputs = {name: told.inputs[old] for name, old in same.items() if places and old in told.inputs}
         yield GiveState(heir, told.state, inputs)
+        self.held.discard(heir)
         return True
 
     def same_inlets(self, before: str, heir: str) -> dict[str, str]:
@@ -479,6 +489,8 @@ class _Update:
                 yield Connect(old, inlet)
             elif fed is not None and fed.stream == wanted[inlet]:
                 yield Disconnect(inlet)
+        for unit in sorted(actual.alive & self.asked):
+            yield GiveState(unit)
         yield WaitUntil(self.may_end, self.patience.switch_s)
         for inlet in self.switching():
             yield SwitchNow(inlet)
