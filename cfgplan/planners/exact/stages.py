@@ -8,6 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from cfgplan.planners.bounding.branching import Branching
+from cfgplan.planners.bounding.disjoint import disjoint_bound
 from cfgplan.planners.exact.answer_sets import prove_by_answer_sets
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.remaining import Remaining
@@ -69,6 +70,23 @@ def use_all_required(work: SolveRun) -> bool:
         work.clock.end("bounds")
         work.search().run()
     return True
+
+
+def prove_by_disjoint_parts(work: SolveRun) -> bool:
+    """Add up parts of a plan that share no label, if a fact takes several providers and no landmarks are known yet."""
+    network, is_new = work.structure.network, not work.memory.has_landmarks
+    if not is_new or network.core.takes is None or len(network.labels) > work.clock.tuning.decide.disjoint:
+        return False
+    weights = LexicographicWeights.with_changes(work.problem, network)
+    if weights is None:
+        return False
+    value, plan = disjoint_bound(network.core, weights.each, network.pinned, work.clock.each)
+    labels = sorted(plan)
+    if weights.of_plan(labels) > weights.least(value) or not is_plan(network, plan):
+        return False
+    work.take(Remaining(labels, value, is_complete=False), network, weights, labels)
+    work.clock.end("bounds")
+    return work.state.is_over
 
 
 def decide_all(work: SolveRun) -> bool:
@@ -186,6 +204,7 @@ STAGES: Final[tuple[Stage, ...]] = (
     plan_fleet,
     use_all_required,
     prove_by_answer_sets,
+    prove_by_disjoint_parts,
     decide_all,
     raise_bound,
     decide_remaining,
