@@ -46,7 +46,10 @@ class Decide:
     labels: int = row(600, "labels", "Networks of up to this size are searched before all else.", LIBRARIES)
     left: int = row(400, "labels", "So many that bounds leave are searched in a replan.", "`benchmark.py replan`")
     disjoint: int = row(
-        600, "labels", "With distinct inputs, up to this size, parts that share nothing come first.", "NAO, 20 robots"
+        5000, "labels", "With distinct inputs, up to this size, parts that share nothing come first.", "NAO, 20 to 200"
+    )
+    choices: int = row(
+        100, "facts", "They do if at most this many facts have more providers than they take.", "NAO; random libraries"
     )
     chained: int = row(
         16, "labels", "Above this size, most expensive chains are charged before the search.", "NAO, 20 robots"

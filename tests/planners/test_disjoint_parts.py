@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import combinations
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from cfgplan.planners.networks.core import Core, Rows
 from cfgplan.planners.networks.greedy import is_plan
 from cfgplan.planning import Problem, Status
 from experiments.families.nao import nao
+from experiments.families.random_library import random_library
 
 Drawn = tuple[Core, list[int]]
 """A core, and the cost of each label."""
@@ -131,6 +133,12 @@ def test_fused_robots_need_neither_landmarks_nor_the_solver(event: str, has_alte
     found = PlannerSession().plan(with_second_cameras(problem) if has_alternatives else problem)
     assert (found.status, found.ties_proven) == (Status.OPTIMAL, True)
     assert found.counts.keys().isdisjoint({"landmarks", "rounds"})
+
+
+def test_parts_are_not_looked_for_where_many_demands_leave_a_choice() -> None:
+    problem = random_library(0, transformations=300, targets=1, distinct=0.5)
+    with patch("cfgplan.planners.exact.stages.disjoint_bound", side_effect=AssertionError):
+        assert PlannerSession().plan(problem).status is Status.OPTIMAL
 
 
 def test_a_fusion_within_a_fusion_is_bounded_by_the_cheapest_of_both() -> None:

@@ -73,14 +73,17 @@ def use_all_required(work: SolveRun) -> bool:
 
 
 def prove_by_disjoint_parts(work: SolveRun) -> bool:
-    """Add up parts of a plan that share no label, if a fact takes several providers and no landmarks are known yet."""
-    network, is_new = work.structure.network, not work.memory.has_landmarks
-    if not is_new or network.core.takes is None or len(network.labels) > work.clock.tuning.decide.disjoint:
+    """Add up parts of a plan that share nothing, where inputs are distinct and no landmarks are known yet.
+
+    Where many facts leave a choice, parts mostly share something.
+    """
+    network, core, tuning = work.structure.network, work.structure.network.core, work.clock.tuning.decide
+    if work.memory.has_landmarks or core.takes is None or core.goal > tuning.disjoint or core.choices > tuning.choices:
         return False
     weights = LexicographicWeights.with_changes(work.problem, network)
     if weights is None:
         return False
-    value, plan = disjoint_bound(network.core, weights.each, network.pinned, work.clock.each)
+    value, plan = disjoint_bound(core, weights.each, network.pinned, work.clock.each)
     labels = sorted(plan)
     if weights.of_plan(labels) > weights.least(value) or not is_plan(network, plan):
         return False
