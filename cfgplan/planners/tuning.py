@@ -45,6 +45,12 @@ class Decide:
 
     labels: int = row(600, "labels", "Networks of up to this size are searched before all else.", LIBRARIES)
     left: int = row(400, "labels", "So many that bounds leave are searched in a replan.", "`benchmark.py replan`")
+    disjoint: int = row(
+        5000, "labels", "With distinct inputs, up to this size, parts that share nothing come first.", "NAO, 20 to 200"
+    )
+    choices: int = row(
+        100, "facts", "They do if at most this many facts have more providers than they take.", "NAO; random libraries"
+    )
     chained: int = row(
         16, "labels", "Above this size, most expensive chains are charged before the search.", "NAO, 20 robots"
     )
@@ -240,8 +246,8 @@ class Tuning:
         return cls(is_solver_only=True, counts=False, reduces=False)
 
     def without_search(self) -> Tuning:
-        """The same without a search of the planner's own."""
-        return replace(self, decide=replace(self.decide, steps=0))
+        """The same without a search or a proof of the planner's own before landmarks."""
+        return replace(self, decide=replace(self.decide, steps=0, disjoint=0))
 
     def rows(self) -> Iterator[tuple[str, object, Description]]:
         """Yield name, value and description of each number."""

@@ -190,6 +190,12 @@ class Core:
         """How many offers and needs there are."""
         return len(self.providers.items) + len(self.needs.items)
 
+    @property
+    def choices(self) -> int:
+        """How many facts that are needed have more providers than they take."""
+        leaves_a_choice = np.diff(self.providers.starts) > (1 if self.takes is None else self.takes)
+        return int(leaves_a_choice[np.unique(self.needs.items)].sum())
+
     @cached_property
     def is_deep(self) -> bool:
         """Whether some fact that can be had is behind more than `MOST_PASSES` others."""
