@@ -90,6 +90,7 @@ class Replan:
         1.05, "times", "Plans up to this multiple of the cost after the most expensive failure are bounded.", AT_REST
     )
     ties: float = row(1.0, "s", "The solver may look so long for another plan at the same cost.", AT_REST)
+    many: int = row(100, "labels", "If so many are left, landmarks are charged by a linear program.", AT_REST)
 
 
 @dataclass(frozen=True)
