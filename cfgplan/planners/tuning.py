@@ -96,6 +96,7 @@ class Replan:
         1.05, "times", "Plans up to this multiple of the cost after the most expensive failure are bounded.", AT_REST
     )
     ties: float = row(1.0, "s", "The solver may look so long for another plan at the same cost.", AT_REST)
+    many: int = row(100, "labels", "If so many are left, landmarks are charged by a linear program.", AT_REST)
 
 
 @dataclass(frozen=True)
@@ -158,6 +159,7 @@ class Near:
     )
     small: int = row(1000, "labels", "Below it, probing takes longer than it saves.", LIBRARIES)
     in_vain: float = row(30.0, "the engine's us/label^1.5", "They end so long after the last cheaper plan.", LIBRARIES)
+    soon: float = row(5.0, "the engine's us/label^1.5", "So long where the solver has hope.", LIBRARIES)
     times: int = row(8, "times", "Needs are chosen so often where one choice gives no missed landmark.", LIBRARIES)
     share: float = row(0.5, "share", "They take at most this part of the time that is left.", LIBRARIES)
     hopeless: float = row(0.08, "share of the cost", "From this gap on the solver has little hope.", LIBRARIES)
