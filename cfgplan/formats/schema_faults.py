@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from decimal import Decimal
 from math import ceil
-from typing import Any, Literal, get_args, get_origin
+from typing import Any, Final, Literal, get_args, get_origin
 
 from pydantic import BaseModel
 
@@ -105,6 +105,16 @@ def _is_nominal(error: Any) -> bool:
     )
 
 
+_EMPTY_TAG: Final = ("the tag is empty", "write a concept, such as `Image`")
+_EMPTY_SELECTOR: Final = ("the selector is empty", "write a label of hosts, or labels joined by `and`, `or` and `not`")
+_EMPTY: Final = {
+    "on": _EMPTY_SELECTOR,
+    "between": _EMPTY_SELECTOR,
+    "requires": ("the requirement is empty", "write a fact, such as `night` or `visibility >= 2.25`, or remove it"),
+}
+"""By key of an expression that may not be empty: the message and the mend."""
+
+
 def _fault(source: Source, path: Path, at_key: bool, error: Any, part: type[BaseModel]) -> Fault:
     kind, value = error["type"], error["input"]
     if kind == "extra_forbidden":
@@ -133,7 +143,9 @@ def _fault(source: Source, path: Path, at_key: bool, error: Any, part: type[Base
         message = f"{_shown(value)} is no name" if value else "the name is empty"
         return source.fault(path, message, f"a name has no {barred} and no spaces around it", at_key=at_key)
     if kind == "string_too_short":
-        return source.fault(path, "the tag is empty", "write a concept, such as `Image`")
+        key = next((step for step in reversed(path) if isinstance(step, str)), "")
+        is_port = path[-2:-1] in (("inputs",), ("outputs",))
+        return source.fault(path, *(_EMPTY_TAG if is_port else _EMPTY.get(key, _EMPTY_TAG)))
     if kind in ("too_short", "too_long"):
         bound = "at least {min_length}" if kind == "too_short" else "at most {max_length}"
         wanted = f"this must be a list of {bound} entries, but has {{actual_length}}"

@@ -175,12 +175,14 @@ def test_a_chain_of_units_with_states_is_replaced_exactly(run_units: StartRuntim
     assert {after - before for before, after in pairwise(listener.values)} == {1}
 
 
-def test_a_source_goes_on_where_the_one_before_has_ended(run_units: StartRuntime) -> None:
+@pytest.mark.parametrize("code", ["Clock", "SlowFirst"])
+def test_a_source_goes_on_where_the_one_before_has_ended(run_units: StartRuntime, code: str) -> None:
+    """Also if the new source is at a step when it is told to wait for the state: the result of that step is void."""
     fast, slow = (
         Transformation(
             label,
             outputs=(OutputPort("y", "Y"),),
-            source="running_units.py:Clock",
+            source=f"running_units.py:{code}",
             run=RunOptions(rate_hz=rate_hz, state="clock"),
         )
         for label, rate_hz in (("high", 200.0), ("low", 100.0))
