@@ -18,6 +18,7 @@ packages that other reasons name are installed there.
 from __future__ import annotations
 
 import compileall
+import gc
 import os
 import re
 import signal
@@ -97,9 +98,12 @@ def pytest_collection(session: pytest.Session) -> Generator[None]:
     """Let pytest keep the test modules that it compiles; the processes of tests still write none beside their files."""
     was = sys.dont_write_bytecode
     sys.dont_write_bytecode = was and not _keeps_bytecode(session.config)
+    gc.disable()
     try:
         return (yield)
     finally:
+        gc.enable()
+        gc.freeze()
         sys.dont_write_bytecode = was
 
 
