@@ -1,7 +1,7 @@
 """`cfgplan` as a fork of a process that has imported it: a command without the CPU time of its imports.
 
-`warm_cfgplan.py serve SOCKET` imports the product and waits. `warm_cfgplan.py SOCKET ARGUMENT...` runs a command: the
-fork has the streams, environment and folder of its caller. The caller passes signals on to the fork, ends with its exit
+`warm_cfgplan.py serve SOCKET` imports the product and waits, or a module with a `main`
+instead. `warm_cfgplan.py SOCKET ARGUMENT...` runs a command: the fork has the streams, environment and folder of its caller. The caller passes signals on to the fork, ends with its exit
 code or by its signal, and takes it along when killed. The fork is no child of its caller: tests of process ids, limits
 and starts run `cfgplan` directly.
 """
@@ -15,6 +15,7 @@ import select
 import signal
 import socket
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 
 PASSED_ON = (signal.SIGHUP, signal.SIGINT, signal.SIGQUIT, signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2)
@@ -46,12 +47,12 @@ def call(path: str, arguments: list[str]) -> int:
     return os.waitstatus_to_exitcode(status)
 
 
-def serve(path: str) -> int:
+def serve(path: str, module: str) -> int | None:
     """Answer calls until the process that started it ends. Returns in the fork of a call with its exit code."""
     from cfgplan_runtime.processes.nursery import die_with_parent
 
     die_with_parent(os.getppid())
-    _import_the_product()
+    main = _main_of(module) if module else _main_of_the_product()
     gc.collect()
     gc.freeze()  # a collection in a fork would copy all that was imported
     with socket.socket(socket.AF_UNIX) as listening:
@@ -63,14 +64,21 @@ def serve(path: str) -> int:
             caller, _ = listening.accept()
             if os.fork() == 0:
                 listening.close()
-                return _answer(caller)
+                return _answer(caller, main)
             caller.close()
             with suppress(ChildProcessError):
                 while os.waitpid(-1, os.WNOHANG) != (0, 0):
                     pass
 
 
-def _import_the_product() -> None:
+def _main_of(module: str) -> Callable[[], int | None]:
+    import importlib
+
+    main: Callable[[], int | None] = importlib.import_module(module).main
+    return main
+
+
+def _main_of_the_product() -> Callable[[], int]:
     """Import what commands import when they need it."""
     import importlib
     import pkgutil
@@ -85,9 +93,10 @@ def _import_the_product() -> None:
         "rich.live", "rich.table", "cfgplan_runtime.operating.operation", "cfgplan_runtime.lifecycle.file_watch",
     ):  # fmt: skip
         importlib.import_module(name)
+    return cfgplan.cli.main
 
 
-def _answer(caller: socket.socket) -> int:
+def _answer(caller: socket.socket, main: Callable[[], int | None]) -> int | None:
     """Fork the command of a call, pass signals on to it, and send its wait status. Returns in the command's process."""
     head, streams, _, _ = socket.recv_fds(caller, _LENGTH_BYTES, 3)
     asked, length = b"", int.from_bytes(head, "big")
@@ -97,7 +106,7 @@ def _answer(caller: socket.socket) -> int:
     command = os.fork()
     if command == 0:
         caller.close()
-        return _run(streams, *json.loads(asked), parent=me)
+        return _run(main, streams, *json.loads(asked), parent=me)
     for stream in streams:
         os.close(stream)
     ended = os.pidfd_open(command)
@@ -112,11 +121,17 @@ def _answer(caller: socket.socket) -> int:
     os._exit(0)
 
 
-def _run(streams: list[int], arguments: list[str], environment: dict[str, str], folder: str, *, parent: int) -> int:
+def _run(
+    main: Callable[[], int | None],
+    streams: list[int],
+    arguments: list[str],
+    environment: dict[str, str],
+    folder: str,
+    *,
+    parent: int,
+) -> int | None:
     """Become the command, as `python -c` starts it."""
     from cfgplan_runtime.processes.nursery import die_with_parent
-
-    from cfgplan.cli import main
 
     die_with_parent(parent)
     for number, stream in enumerate(streams):
@@ -138,4 +153,4 @@ def _run(streams: list[int], arguments: list[str], environment: dict[str, str], 
 
 
 if __name__ == "__main__":
-    sys.exit(serve(sys.argv[2]) if sys.argv[1] == "serve" else call(sys.argv[1], sys.argv[2:]))
+    sys.exit(serve(sys.argv[2], sys.argv[3]) if sys.argv[1] == "serve" else call(sys.argv[1], sys.argv[2:]))
