@@ -90,7 +90,7 @@ def test_a_thinned_trace_keeps_its_ends() -> None:
 
 
 @pytest.fixture(scope="module")
-def tiny_rows(warm_runs: None, tmp_path_factory: pytest.TempPathFactory) -> list[Row]:
+def tiny_rows(warm_runs: None, tmp_path_factory: pytest.TempPathFactory) -> list[Row]:  # noqa: ARG001
     results = tmp_path_factory.mktemp("tiny") / "results.jsonl"
     return run(list(SUITES["tiny"]()), list(REGISTERED.values()), Limits(time_limit_s=20), results)
 
