@@ -40,12 +40,20 @@ def call(path: str, arguments: list[str]) -> int:
             if server in ready:
                 break
             server.sendall(heard.recv(16))
-        status = int.from_bytes(server.recv(_LENGTH_BYTES), "big")
+        status, answering = (int.from_bytes(server.recv(_LENGTH_BYTES), "big") for _ in range(2))
+    _await_end(answering)
     if os.WIFSIGNALED(status):
         if os.WTERMSIG(status) in PASSED_ON:
             signal.signal(os.WTERMSIG(status), signal.SIG_DFL)
         os.kill(os.getpid(), os.WTERMSIG(status))
     return os.waitstatus_to_exitcode(status)
+
+
+def _await_end(pid: int) -> None:
+    """Wait until a process has ended: a test that looks for processes after its command finds none of the command's."""
+    with suppress(ProcessLookupError):
+        ended = os.pidfd_open(pid)
+        select.select([ended], [], [])
 
 
 def serve(path: str, module: str) -> int | None:
@@ -98,7 +106,10 @@ def _main_of_the_product() -> Callable[[], int]:
 
 
 def _answer(caller: socket.socket, main: Callable[[], int | None]) -> int | None:
-    """Fork the command of a call, pass signals on to it, and send its wait status. Returns in the command's process."""
+    """Fork the command of a call, pass signals on to it, and send its wait status and the id of this process.
+
+    Returns in the command's process.
+    """
     head, streams, _, _ = socket.recv_fds(caller, _LENGTH_BYTES, 3)
     asked, length = b"", int.from_bytes(head, "big")
     while len(asked) < length:
@@ -118,7 +129,8 @@ def _answer(caller: socket.socket, main: Callable[[], int | None]) -> int | None
         if not numbers:
             break
     with suppress(OSError):
-        caller.sendall(os.waitpid(command, 0)[1].to_bytes(_LENGTH_BYTES, "big"))
+        told = os.waitpid(command, 0)[1], os.getpid()
+        caller.sendall(b"".join(number.to_bytes(_LENGTH_BYTES, "big") for number in told))
     os._exit(0)
 
 
