@@ -86,16 +86,16 @@ def test_a_killed_caller_takes_its_command_along(run: subprocess.Popen[bytes]) -
 def test_a_caller_ends_after_the_process_that_answers_it(tmp_path: Path) -> None:
     """A test that looks for processes after its command finds none of the command's."""
     path = str(tmp_path / "socket")
-    with socket.socket(socket.AF_UNIX) as server, subprocess.Popen(["sleep", "300"]) as answering:
+    with socket.socket(socket.AF_UNIX) as server, subprocess.Popen(["cat"], stdin=subprocess.PIPE) as answering:
         server.bind(path)
         server.listen()
         with subprocess.Popen([sys.executable, "-I", "-S", warm_cfgplan.__file__, path]) as caller:
             call, _ = server.accept()
-            call.sendall((0).to_bytes(4, "big") + answering.pid.to_bytes(4, "big"))
-            while call.recv(4096):
-                pass
-            call.close()
-            with pytest.raises(subprocess.TimeoutExpired):
-                caller.wait(0.5)
-            answering.kill()
+            with call:
+                call.sendall(b"".join(number.to_bytes(4, "big") for number in (0, answering.pid)))
+                assert call.recv(1 << 20)
+                with pytest.raises(subprocess.TimeoutExpired):
+                    caller.wait(0.5)
+            assert answering.stdin is not None
+            answering.stdin.close()
             assert caller.wait(PATIENCE_S) == 0
