@@ -11,6 +11,7 @@ from typing import cast
 
 import msgspec
 import pytest
+from cfgplan_runtime import Runtime
 from cfgplan_runtime.children.handover import Handover
 from cfgplan_runtime.children.ports import Ports
 from cfgplan_runtime.children.steps import Step, StepQueue
@@ -114,6 +115,13 @@ def next_mode(number: int, **feeds: str) -> ChangeSet:
     return ChangeSet(started=(new,), stopped=(f"{labels[(number - 1) % 2]}.{number - 1}",))
 
 
+def rises(runtime: Runtime, listener: Listener) -> set[tuple[int, ...]]:
+    """By how much the numbers of an element are above those of the one before it, once the run has ended."""
+    runtime.close()
+    listener.join()
+    return {tuple(after - before for before, after in zip(*two, strict=True)) for two in pairwise(listener.values)}
+
+
 def test_elements_that_wait_for_a_partner_wait_in_the_next_unit(run_units: StartRuntime) -> None:
     """Input b has every second number, so that each step leaves one more element at input a."""
     high, low = modes("Pairs", inputs=("a", "b"), run=RunOptions(queue=10_000))
@@ -128,10 +136,7 @@ def test_elements_that_wait_for_a_partner_wait_in_the_next_unit(run_units: Start
     received = len(listener.received)
     eventually(lambda: len(listener.received) > received + 5)
     assert seen(runtime, StateNotExact) == []
-    runtime.close()
-    listener.join()
-    rises = {tuple(after - before for before, after in zip(*two, strict=True)) for two in pairwise(listener.values)}
-    assert rises == {(1, 1, 2)}
+    assert rises(runtime, listener) == {(1, 1, 2)}
 
 
 def test_the_last_element_of_a_quiet_stream_goes_to_the_next_unit(run_units: StartRuntime) -> None:
@@ -146,10 +151,7 @@ def test_the_last_element_of_a_quiet_stream_goes_to_the_next_unit(run_units: Sta
     received = len(listener.received)
     eventually(lambda: len(listener.received) > received + 5)
     assert seen(runtime, StateNotExact) == []
-    runtime.close()
-    listener.join()
-    rises = {tuple(after - before for before, after in zip(*two, strict=True)) for two in pairwise(listener.values)}
-    assert rises <= {(1, 1, 0), (1, 1, 1)}, "no step waited for the next element of b"
+    assert rises(runtime, listener) <= {(1, 1, 0), (1, 1, 1)}, "no step waited for the next element of b"
 
 
 def test_a_chain_of_units_with_states_is_replaced_exactly(run_units: StartRuntime) -> None:
