@@ -492,6 +492,41 @@ BOUNDS = _room(
     ),
 )
 
+PARTS = _room(
+    "cfgplan/planners/bounding",
+    ("tests/planners/test_disjoint_parts.py",),
+    (
+        "parts may share labels",
+        "disjoint.py",
+        "own = countable & ~shared",
+        "own = countable",
+    ),
+    (
+        "a label is counted for each fact that it gives",
+        "disjoint.py",
+        "countable &= shared | ~behind",
+        "pass",
+    ),
+    (
+        "a label that is forced is counted again",
+        "disjoint.py",
+        "        countable &= ~forced",
+        "        pass",
+    ),
+    (
+        "behind a label is less than there is",
+        "disjoint.py",
+        "while self._follow(each(order), needs):",
+        "if self._follow(each(order), needs):",
+    ),
+    (
+        "the first parts are taken, not the cheapest",
+        "disjoint.py",
+        "sorted(parts)[:takes]",
+        "parts[:takes]",
+    ),
+)
+
 CLOSING = _room(
     "cfgplan/planners",
     ("tests/planners/test_support.py", "tests/planners/test_label_kinds.py", "tests/planners/test_closing.py"),
@@ -861,4 +896,16 @@ COUNTING = _room(
         "kinds[own, host.rent_us, there, traits]",
     ),
 )
-MUTANTS = (*MODEL, *SURVIVAL, *COUNTING, *JUDGE, *BOUNDS, *CLOSING, *SATURATION, *SUPERVISION, *SPARES, *LIFECYCLE)
+MUTANTS = (
+    *MODEL,
+    *SURVIVAL,
+    *COUNTING,
+    *JUDGE,
+    *BOUNDS,
+    *PARTS,
+    *CLOSING,
+    *SATURATION,
+    *SUPERVISION,
+    *SPARES,
+    *LIFECYCLE,
+)
