@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import random
+import socket
 from collections.abc import Iterable
 from dataclasses import replace
 from itertools import islice, pairwise
+from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
 
 import msgspec
 import pytest
+from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.handover import Handover
+from cfgplan_runtime.children.messages import HoldSteps, TakeState, ToChild
 from cfgplan_runtime.children.ports import Ports
 from cfgplan_runtime.children.steps import Step, StepQueue
+from cfgplan_runtime.children.unit_child import UnitChild
+from cfgplan_runtime.children.unit_order import unit_order
 from cfgplan_runtime.streams.element import BEFORE_ALL, Element, Moment
 from cfgplan_runtime.supervision.events import StateNotExact
 from watching import Listener, StartRuntime, seen
@@ -250,3 +256,24 @@ def test_a_source_that_was_asked_for_its_state_and_stays_gives_again_at_once(mon
     handover.ask_state({})
     handover.stay()
     assert not handover.is_state_due
+
+
+def test_a_unit_that_is_told_to_wait_for_a_state_gives_no_result_of_the_steps_before() -> None:
+    """A source ticks as soon as it is ready. Its result may still be in hand then, on a busy computer."""
+    clock = Transformation(
+        "clock", outputs=(OutputPort("y", "Y"),), source="running_units.py:Clock", run=RunOptions(state=True)
+    )
+    order = msgspec.structs.replace(unit_order("clock.1", clock, None), folder=str(Path(__file__).parent))
+    ours, theirs = socket.socketpair()
+    child = UnitChild(order, ControlConnection(theirs, ToChild))
+    child._tick()
+    child._obey(HoldSteps(), [])
+    child._work()
+    assert child._ports.output_counts()["y"].elements == 0
+    child._obey(TakeState(msgspec.msgpack.encode(41), {}), [])
+    child._tick()
+    child._work()
+    assert child._ports.output_counts()["y"].elements > 0
+    child.close()
+    for end in (ours, theirs):
+        end.close()

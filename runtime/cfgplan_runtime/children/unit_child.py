@@ -196,6 +196,7 @@ class UnitChild:
                 self._set_state(state)
                 self._begun = unit
             case messages.HoldSteps():
+                self._results = None  # those of a step before the state
                 self._handover.hold()
             case messages.TellPlaces(begun):
                 self._handover.ask_places(begun)
