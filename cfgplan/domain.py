@@ -318,6 +318,8 @@ class Environment:
         for name, key, what in _NAMED:
             store_sorted(self, name, getattr(self, name), attrgetter(key))
             refuse_duplicates(what, [getattr(each, key) for each in getattr(self, name)])
+        if self.facts:
+            refuse_duplicates("fact", [fact.key for fact in variables(self.facts, [host.name for host in self.hosts])])
         refuse_duplicates("topic of a target", [target.topic for target in self.stream_targets])
         for attribute in [link.adds for link in self.links if link.adds is not None]:
             if attribute not in self.quality or self.quality[attribute].better is Better.HIGHER:
@@ -423,7 +425,7 @@ class Environment:
     @cached_property
     def variable(self) -> Mapping[str, Fact]:
         """The facts that have one value, by key; a fact of hosts once for each host, such as `r1.battery`."""
-        return MappingProxyType(variables(self.facts, self.host))
+        return MappingProxyType({fact.key: fact for fact in variables(self.facts, self.host)})
 
     def _facts_on(self, host: str) -> Mapping[str, Fact]:
         """The facts by name, as they are on a host."""
@@ -501,8 +503,10 @@ class Environment:
     def with_facts(self, values: Mapping[str, FactValue]) -> Environment:
         """Return the environment in which facts have other values, by key; values of another kind are ignored.
 
-        Qualities that follow a fact get the values that follow from it.
+        Qualities that follow a fact get the values that follow from it. An environment without facts stays as it is.
         """
+        if not self.facts:
+            return self
         facts = {fact.name: self._being(fact, values) for fact in self.facts}
         changed = {label: _following(self.transformation[label], facts) for label in self.following}
         library = tuple(changed.get(t.label, t) for t in self.library) if changed else self.library

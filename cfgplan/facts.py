@@ -22,13 +22,17 @@ from typing import Annotated, Final, Literal, TypeAlias
 from cfgplan.arguments import Natural, checked
 from cfgplan.errors import InvalidValueError, TagError, did_you_mean
 from cfgplan.noise import Noise
-from cfgplan.qualities import micro_units, units
+from cfgplan.qualities import MICRO, micro_units, units
 from cfgplan.rows import FOUND, QOS, Row, Use
 from cfgplan.selectors import ExpressionReader
 
 FactValue: TypeAlias = bool | int | str
 """True or false, a number in millionths, or a word."""
 
+LARGEST_FACT: Final = 10**12 * MICRO
+"""The largest number that a fact may be, in millionths: pascals and seconds since 1970 are far below, and it has 64
+bits.
+"""
 HOST_MARK: Final = "{host}"
 """It stands for the name of a host in the tag and the topic that observe a fact of hosts."""
 _NUMBER: Final = re.compile(r"-?[0-9]+(\.[0-9]+)?")
@@ -37,6 +41,8 @@ _SIGNS: Final[Mapping[str, Callable[[int, int], bool]]] = MappingProxyType(
     {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
 )
 """The comparisons of numbers alone."""
+_NO_SIGNS: Final = frozenset("=!≥≤≠")
+"""The first letters of comparisons in other languages."""
 
 
 def value_text(value: FactValue) -> str:
@@ -200,7 +206,7 @@ class Fact:
         if isinstance(found, str) and not isinstance(self.declared, str):
             return self.read(found.strip().lower())
         try:
-            value = found if isinstance(found, bool | str) else micro_units(round(Decimal(str(found)), 6))
+            value = found if isinstance(found, bool | str) else micro_units(round(Decimal(str(found)), 6), LARGEST_FACT)
         except ArithmeticError:
             raise InvalidValueError(f"fact {self.name!r} is {kind_of(self.declared)}, not {found!r:.60}") from None
         if kind_of(value) != kind_of(self.declared):
@@ -217,11 +223,11 @@ class Fact:
         return value
 
 
-def variables(facts: Iterable[Fact], hosts: Iterable[str]) -> dict[str, Fact]:
-    """The facts that have one value, by key: facts of the world, and each fact of hosts once for each host."""
+def variables(facts: Iterable[Fact], hosts: Iterable[str]) -> tuple[Fact, ...]:
+    """The facts that have one value: facts of the world, and each fact of hosts once for each host."""
     names = tuple(hosts)
     found = ((fact,) if fact.of is None else tuple(map(fact.on, names)) for fact in facts)
-    return {fact.key: fact for fact in chain.from_iterable(found)}
+    return tuple(chain.from_iterable(found))
 
 
 def misfit_of_fact(said: Mapping[str, object]) -> tuple[str, str, str] | None:
@@ -258,7 +264,7 @@ def _value(text: str) -> FactValue:
         return _TRUTH[text]
     if text[:1] == "'":
         return text[1:-1]
-    return micro_units(Decimal(text)) if _NUMBER.fullmatch(text) else text
+    return micro_units(Decimal(text), LARGEST_FACT) if _NUMBER.fullmatch(text) else text
 
 
 @dataclass(frozen=True, slots=True)
@@ -365,6 +371,11 @@ class _RequirementReader(ExpressionReader[Requirement]):
     def none_of(self, part: Requirement) -> Requirement:
         names = tuple(comparison.fact for comparison in part.comparisons)
         return Requirement(part.comparisons, lambda values: names if part.blamed(values) is None else None)
+
+    def _mend_here(self, usual: str) -> str:
+        if self._written()[:1] in _NO_SIGNS:
+            return f"compare by {', '.join(_SIGNS)} or ==; write `not NAME == VALUE` for values that differ"
+        return usual
 
     def other(self, token: str) -> Requirement:
         fact, sign, value = self._name(token, self._at - 1), "==", "true"

@@ -26,12 +26,12 @@ LARGEST_QUALITY = 100_000 * MICRO
 LARGEST_FACTOR = 10 * MICRO
 
 
-def micro_units(value: Decimal | int) -> int:
+def micro_units(value: Decimal | int, largest_micro: int = LARGEST_QUALITY) -> int:
     """A value in micro-units, exactly; raises InvalidValueError for a non-finite, too large or too fine one."""
     number = Decimal(value)
     if not number.is_finite():
         raise InvalidValueError(f"{value} is not a finite number")
-    largest = LARGEST_QUALITY // MICRO
+    largest = largest_micro // MICRO
     if not -largest <= number <= largest:  # `abs` fails for the largest exponents
         raise InvalidValueError(f"{value} is too large: the limit is {largest:,}")
     if number != round(number, 6):

@@ -18,20 +18,21 @@ packages that other reasons name are installed there.
 from __future__ import annotations
 
 import compileall
+import gc
 import os
 import re
 import signal
 import subprocess
 import sys
 from collections import defaultdict
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 from random import Random
 from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
-from warm import warm_socket
+from warm import module_command, warm_socket
 from xdist.remote import Producer
 from xdist.scheduler import LoadGroupScheduling
 from xdist.workermanage import WorkerController
@@ -97,9 +98,12 @@ def pytest_collection(session: pytest.Session) -> Generator[None]:
     """Let pytest keep the test modules that it compiles; the processes of tests still write none beside their files."""
     was = sys.dont_write_bytecode
     sys.dont_write_bytecode = was and not _keeps_bytecode(session.config)
+    gc.disable()
     try:
         return (yield)
     finally:
+        gc.enable()
+        gc.freeze()
         sys.dont_write_bytecode = was
 
 
@@ -162,6 +166,16 @@ def _share_of(whole: settings) -> settings:
 def warm_cfgplan() -> str:
     """The server of warm commands, which runs from here on: see tests/warm.py."""
     return warm_socket()
+
+
+@pytest.fixture(scope="module")
+def warm_runs() -> Iterator[None]:
+    """Runs of planners are forks of a process that has imported all of them. Each plans once."""
+    from cfgplan.comparing import runs
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(runs, "CHILD", tuple(module_command("planned_once")))
+        yield
 
 
 def pytest_xdist_auto_num_workers() -> int:

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from cfgplan import api
 from cfgplan.domain import Environment, Transformation
-from cfgplan.errors import InputError, InvalidValueError
-from cfgplan.facts import Fact, FactValue
+from cfgplan.errors import InputError, InvalidValueError, TagError
+from cfgplan.facts import Fact, FactValue, requirement
 from cfgplan.formats.dump import dump_yaml, plain_environment
 from cfgplan.planning import Status
 
@@ -135,6 +135,13 @@ def test_what_no_fact_can_say_is_refused_with_its_place(survey: Path, requires: 
     assert fault.mend
 
 
+@pytest.mark.parametrize("requires", ["visibility = 3", "mode != survey", "visibility ≥ 3"])
+def test_a_comparison_of_another_language_gets_the_signs_of_this_one(requires: str) -> None:
+    with pytest.raises(TagError) as refused:
+        requirement(requires)
+    assert refused.value.mend == "compare by >=, <=, >, < or ==; write `not NAME == VALUE` for values that differ"
+
+
 def test_a_fact_that_is_none_hides_no_other_fault_and_makes_none(survey: Path) -> None:
     survey.write_text(SURVEY.replace("declared: false", "declared: []"), encoding="utf-8")
     with pytest.raises(InputError) as refused:
@@ -145,6 +152,11 @@ def test_a_fact_that_is_none_hides_no_other_fault_and_makes_none(survey: Path) -
 def test_an_environment_made_in_python_asks_only_about_its_facts() -> None:
     with pytest.raises(InvalidValueError, match="there is no fact `night`"):
         _ = Environment(library=(Transformation("t", requires="night"),)).left_out
+
+
+def test_an_environment_without_facts_is_not_copied_for_them() -> None:
+    environment = Environment(library=(Transformation("camera", (), (), 1, 1),))
+    assert environment.with_facts({}) is environment
 
 
 def test_the_digest_knows_the_side_of_a_comparison_not_the_number(survey: Path) -> None:
@@ -248,6 +260,8 @@ def test_what_can_not_observe_is_refused_with_its_place(observed: Path, fact: st
     [
         (1, None, 2.25, 2_250_000),
         (1, "range", {"range": 1 / 3}, 333_333),
+        (1, "fluid_pressure", {"fluid_pressure": 101_325.5}, 101_325_500_000),
+        (1, None, 1_795_881_600.123456789, 1_795_881_600_123_457),
         (1, "sonar.range", {"sonar": {"range": 4}}, 4_000_000),
         (True, None, False, False),
         ("survey", "mode", {"mode": "transit"}, "transit"),
@@ -270,6 +284,7 @@ def test_an_element_says_the_value_of_a_fact(
         (None, None, "is a number, not None"),
         (None, float("nan"), "is not a finite number"),
         (None, 1e300, "is a number, not 1e+300"),
+        (None, 1e13, "is too large: the limit is 1,000,000,000,000"),
     ],
 )
 def test_an_element_that_says_no_value_is_refused(field: str | None, element: object, message: str) -> None:
@@ -319,6 +334,18 @@ def test_a_quality_that_follows_a_fact_is_written_so(following: Path, tmp_path: 
     again = tmp_path / "again.yaml"
     again.write_text(dump_yaml(plain_environment(environment, horizon_s=600)), encoding="utf-8")
     assert api.load(again).environment == environment
+
+
+def test_facts_bounds_and_points_may_be_pressures_in_pascal(following: Path, tmp_path: Path) -> None:
+    """Qualities end at 100,000, facts don't."""
+    text = FOLLOWING.replace("light: {declared: 1}", "light: {declared: 101325, by: Light, noise: 250000}")
+    text = text.replace("[0.2, 0.9], [1, 0.1]", "[100000, 0.9], [200000, 0.1]")
+    following.write_text(text.replace("sonar, upkeep", 'sonar, requires: "light < 150000.5", upkeep'), encoding="utf-8")
+    world = api.what_if(api.load(following), settings={"facts.light": "150000"})
+    assert world.environment.qualities_now == {"camera/i error": "0.5 m, light is 150000"}
+    again = tmp_path / "again.yaml"
+    again.write_text(dump_yaml(plain_environment(api.load(following).environment, horizon_s=600)), encoding="utf-8")
+    assert api.load(again).environment == api.load(following).environment
 
 
 @pytest.mark.parametrize(

@@ -195,3 +195,14 @@ def test_an_environment_made_in_python_has_facts_of_hosts() -> None:
     )
     assert environment.hosts_for(environment.library[0]) == ("a",)
     assert environment.barred == {"t": {"b": "needs not hot, hot is true on b"}}
+
+
+def test_a_fact_of_the_world_has_not_the_name_of_a_fact_of_one_host(fleet: Path) -> None:
+    fleet.write_text(FLEET.replace("  night:", "  r1.battery: {declared: 3}\n  night:"), encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        api.load(fleet)
+    (fault,) = refused.value.faults
+    assert "the fact `r1.battery` is taken" in fault.message
+    assert (fault.line, bool(fault.mend)) == (6, True)
+    with pytest.raises(InvalidValueError, match=r"r1\.battery"):
+        Environment(hosts=(Host("r1"),), facts=(Fact("battery", 1, of="host"), Fact("r1.battery", 1)))

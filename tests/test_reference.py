@@ -43,10 +43,6 @@ class Described:
         return self.name
 
 
-def is_protocol(kind: type[Any]) -> bool:
-    return bool(getattr(kind, "_is_protocol", False))
-
-
 def is_described(kind: type[Any]) -> bool:
     """Whether it has arguments: values of an enumeration are only named, and a protocol is a user's."""
     return not issubclass(kind, enum.Enum) and not getattr(kind, "_is_protocol", False)

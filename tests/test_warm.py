@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 import warm
+import warm_cfgplan
 
 MODELS = Path(__file__).parents[1] / "models"
 LOST = MODELS / "nao" / "2-segmenter-lost.yaml"
@@ -78,3 +81,21 @@ def test_a_killed_caller_takes_its_command_along(run: subprocess.Popen[bytes]) -
     run.kill()
     assert run.stdout is not None
     assert b"Observed" not in run.stdout.read(), "it is read until each process of the command has ended"
+
+
+def test_a_caller_ends_after_the_process_that_answers_it(tmp_path: Path) -> None:
+    """A test that looks for processes after its command finds none of the command's."""
+    path = str(tmp_path / "socket")
+    with socket.socket(socket.AF_UNIX) as server, subprocess.Popen(["cat"], stdin=subprocess.PIPE) as answering:
+        server.bind(path)
+        server.listen()
+        with subprocess.Popen([sys.executable, "-I", "-S", warm_cfgplan.__file__, path]) as caller:
+            call, _ = server.accept()
+            with call:
+                call.sendall(b"".join(number.to_bytes(4, "big") for number in (0, answering.pid)))
+                assert call.recv(1 << 20)
+                with pytest.raises(subprocess.TimeoutExpired):
+                    caller.wait(0.5)
+            assert answering.stdin is not None
+            answering.stdin.close()
+            assert caller.wait(PATIENCE_S) == 0

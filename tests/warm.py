@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import os
 import shutil
 import subprocess
 import sys
@@ -26,12 +27,20 @@ def cold_command(*arguments: object) -> list[str]:
     return [sys.executable, "-c", "import sys; from cfgplan.cli import main; sys.exit(main())", *map(str, arguments)]
 
 
+def module_command(module: str) -> list[str]:
+    """The command line of a module's `main`, as a fork of a process that has imported the module."""
+    return [sys.executable, "-I", "-S", str(_CODE), warm_socket(module)]
+
+
 @cache
-def warm_socket() -> str:
-    """The socket of a server, which ends with this process."""
+def warm_socket(module: str = "") -> str:
+    """The socket of a server, which ends with this process. Its forks run the module, `cfgplan` if none is named."""
     folder = tempfile.mkdtemp(prefix="cfgplan-warm-")
     path = str(Path(folder, "socket"))
-    server = subprocess.Popen([sys.executable, str(_CODE), "serve", path], stdout=subprocess.PIPE)
+    line = [sys.executable, str(_CODE), "serve", path, module]
+    # A module beside the tests is found, too.
+    there = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)} if module else None
+    server = subprocess.Popen(line, stdout=subprocess.PIPE, env=there)
     assert server.stdout is not None and server.stdout.readline() == b"ready\n"
 
     def end() -> None:

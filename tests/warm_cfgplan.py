@@ -1,9 +1,10 @@
 """`cfgplan` as a fork of a process that has imported it: a command without the CPU time of its imports.
 
-`warm_cfgplan.py serve SOCKET` imports the product and waits. `warm_cfgplan.py SOCKET ARGUMENT...` runs a command: the
-fork has the streams, environment and folder of its caller. The caller passes signals on to the fork, ends with its exit
-code or by its signal, and takes it along when killed. The fork is no child of its caller: tests of process ids, limits
-and starts run `cfgplan` directly.
+`warm_cfgplan.py serve SOCKET` imports the product and waits; with the name of a module it imports that, and its
+commands are the module's `main`. `warm_cfgplan.py SOCKET ARGUMENT...` runs a command: the fork has the streams,
+environment and folder of its caller. The caller passes signals on to the fork, ends with its exit code or by its
+signal, and takes it along when killed. The fork is no child of its caller: tests of process ids, limits and starts run
+`cfgplan` directly.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import select
 import signal
 import socket
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 
 PASSED_ON = (signal.SIGHUP, signal.SIGINT, signal.SIGQUIT, signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2)
@@ -38,7 +40,8 @@ def call(path: str, arguments: list[str]) -> int:
             if server in ready:
                 break
             server.sendall(heard.recv(16))
-        status = int.from_bytes(server.recv(_LENGTH_BYTES), "big")
+        status, answering = (int.from_bytes(server.recv(_LENGTH_BYTES), "big") for _ in range(2))
+    _await_end(answering)
     if os.WIFSIGNALED(status):
         if os.WTERMSIG(status) in PASSED_ON:
             signal.signal(os.WTERMSIG(status), signal.SIG_DFL)
@@ -46,12 +49,19 @@ def call(path: str, arguments: list[str]) -> int:
     return os.waitstatus_to_exitcode(status)
 
 
-def serve(path: str) -> int:
+def _await_end(pid: int) -> None:
+    """Wait until a process has ended: a test that looks for processes after its command finds none of the command's."""
+    with suppress(ProcessLookupError):
+        ended = os.pidfd_open(pid)
+        select.select([ended], [], [])
+
+
+def serve(path: str, module: str) -> int | None:
     """Answer calls until the process that started it ends. Returns in the fork of a call with its exit code."""
     from cfgplan_runtime.processes.nursery import die_with_parent
 
     die_with_parent(os.getppid())
-    _import_the_product()
+    main = _main_of(module) if module else _main_of_the_product()
     gc.collect()
     gc.freeze()  # a collection in a fork would copy all that was imported
     with socket.socket(socket.AF_UNIX) as listening:
@@ -63,14 +73,21 @@ def serve(path: str) -> int:
             caller, _ = listening.accept()
             if os.fork() == 0:
                 listening.close()
-                return _answer(caller)
+                return _answer(caller, main)
             caller.close()
             with suppress(ChildProcessError):
                 while os.waitpid(-1, os.WNOHANG) != (0, 0):
                     pass
 
 
-def _import_the_product() -> None:
+def _main_of(module: str) -> Callable[[], int | None]:
+    import importlib
+
+    main: Callable[[], int | None] = importlib.import_module(module).main
+    return main
+
+
+def _main_of_the_product() -> Callable[[], int]:
     """Import what commands import when they need it."""
     import importlib
     import pkgutil
@@ -85,10 +102,14 @@ def _import_the_product() -> None:
         "rich.live", "rich.table", "cfgplan_runtime.operating.operation", "cfgplan_runtime.lifecycle.file_watch",
     ):  # fmt: skip
         importlib.import_module(name)
+    return cfgplan.cli.main
 
 
-def _answer(caller: socket.socket) -> int:
-    """Fork the command of a call, pass signals on to it, and send its wait status. Returns in the command's process."""
+def _answer(caller: socket.socket, main: Callable[[], int | None]) -> int | None:
+    """Fork the command of a call, pass signals on to it, and send its wait status and the id of this process.
+
+    Returns in the command's process.
+    """
     head, streams, _, _ = socket.recv_fds(caller, _LENGTH_BYTES, 3)
     asked, length = b"", int.from_bytes(head, "big")
     while len(asked) < length:
@@ -97,7 +118,7 @@ def _answer(caller: socket.socket) -> int:
     command = os.fork()
     if command == 0:
         caller.close()
-        return _run(streams, *json.loads(asked), parent=me)
+        return _run(main, streams, *json.loads(asked), parent=me)
     for stream in streams:
         os.close(stream)
     ended = os.pidfd_open(command)
@@ -108,15 +129,22 @@ def _answer(caller: socket.socket) -> int:
         if not numbers:
             break
     with suppress(OSError):
-        caller.sendall(os.waitpid(command, 0)[1].to_bytes(_LENGTH_BYTES, "big"))
+        told = os.waitpid(command, 0)[1], os.getpid()
+        caller.sendall(b"".join(number.to_bytes(_LENGTH_BYTES, "big") for number in told))
     os._exit(0)
 
 
-def _run(streams: list[int], arguments: list[str], environment: dict[str, str], folder: str, *, parent: int) -> int:
+def _run(
+    main: Callable[[], int | None],
+    streams: list[int],
+    arguments: list[str],
+    environment: dict[str, str],
+    folder: str,
+    *,
+    parent: int,
+) -> int | None:
     """Become the command, as `python -c` starts it."""
     from cfgplan_runtime.processes.nursery import die_with_parent
-
-    from cfgplan.cli import main
 
     die_with_parent(parent)
     for number, stream in enumerate(streams):
@@ -138,4 +166,4 @@ def _run(streams: list[int], arguments: list[str], environment: dict[str, str], 
 
 
 if __name__ == "__main__":
-    sys.exit(serve(sys.argv[2]) if sys.argv[1] == "serve" else call(sys.argv[1], sys.argv[2:]))
+    sys.exit(serve(sys.argv[2], sys.argv[3]) if sys.argv[1] == "serve" else call(sys.argv[1], sys.argv[2:]))

@@ -161,7 +161,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
             "--json", action="store_true", default=argparse.SUPPRESS, help="print JSON for programs instead of text"
         )
         if command.operand:
-            kinds: dict[str, Callable[[str], Any]] = {"FILE": str, "NAME=VALUE": shared.setting}
+            kinds: dict[str, Callable[[str], Any]] = {"FILE": str, "NAME=VALUE": _fact}
             kind = kinds.get(command.operand, normal)
             each.add_argument("operand", type=kind, metavar=command.operand, help=command.means)
         if command.name == "add":
@@ -175,6 +175,10 @@ def add_to(parser: argparse.ArgumentParser) -> None:
             shared.add_time(
                 each, "--wait", 60.0, "how long to wait until the change is planned and carried out (default: 60s)"
             )
+
+
+def _fact(text: str) -> tuple[str, str]:
+    return shared.setting(text, "NAME=VALUE", "night=true")
 
 
 def run(options: argparse.Namespace, screen: Screen) -> Exit:

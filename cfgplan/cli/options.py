@@ -264,11 +264,11 @@ def planner(name: str) -> str:
     return name
 
 
-def setting(text: str) -> tuple[str, str]:
+def setting(text: str, form: str = "KEY=VALUE", example: str = "horizon=60") -> tuple[str, str]:
     """`KEY=VALUE`, where the key may hold `=` itself."""
     key, equals, value = normal(text).rpartition("=")
     if not (key and equals and value):
-        raise argparse.ArgumentTypeError(f"{text!r} is not KEY=VALUE: write one, such as horizon=60")
+        raise argparse.ArgumentTypeError(f"{text!r} is not {form}: write one, such as {example}")
     return key.strip(), value.strip()
 
 

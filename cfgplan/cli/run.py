@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import argparse
 import os
-import socket
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from importlib.machinery import PathFinder
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING
 
 from cfgplan.cli import options as shared
@@ -21,31 +19,39 @@ from cfgplan.cli import run_targets
 from cfgplan.cli.agent import add_links
 from cfgplan.cli.exits import Exit, exit_of
 from cfgplan.cli.interrupts import Interrupts
+from cfgplan.cli.run_checks import (
+    check_can_start,
+    check_places,
+    check_ros2_topics,
+    check_ros_nodes,
+    raise_all,
+    refuse_nodes,
+)
+from cfgplan.cli.run_middleware import (
+    OF_ROS,
+    ROS1,
+    facts_of_ros,
+    fleet_of,
+    folder_of,
+    qualities_of_ros,
+    runtime_of,
+    source_check_of,
+)
 from cfgplan.cli.run_output import JsonLines, Lines, RunOutput
 from cfgplan.cli.screen import Screen, counted
-from cfgplan.errors import Fault, InputError
+from cfgplan.errors import InputError
 from cfgplan.extras import needed
-from cfgplan.onward import grouped
-from cfgplan.qualities import Teller
-from cfgplan.summary import some
 
 if TYPE_CHECKING:
-    from cfgplan_runtime.fleet.fleet_runtime import Fleet
     from cfgplan_runtime.operating.operation import Operation, Settings
-    from cfgplan_runtime.operating.outside_topics import TopicReader
-    from cfgplan_runtime.operating.sources import SourceCheck
-    from cfgplan_runtime.runtime import Runtime
 
     from cfgplan.api import World
     from cfgplan.cli.first_plan import FirstPlan
     from cfgplan.domain import ComputationUnit, Environment
 
 _LIVE_LOOK_S = 0.1
-ROS1, ROS2 = "ros1", "ros2"
-_ROS = {ROS1: "ROS 1", ROS2: "ROS 2"}
 _HOSTS_S = 5.0
 """Seconds after the start until a fleet's backend must have reported each host."""
-_MOST_NAMED = 4
 _EXTRAS = {
     "metrics_port": ("metrics", "prometheus_client"),
     "record": ("recordings", "mcap"),
@@ -118,7 +124,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     run_targets.add_to(parser)
     parser.add_argument("--local", action="store_true", help="run the units of all hosts on this computer")
     runs = "run units as processes, or as nodes of ROS 1 or ROS 2 (default: processes)"
-    parser.add_argument("--middleware", choices=("processes", *_ROS), default="processes", help=runs)
+    parser.add_argument("--middleware", choices=("processes", *OF_ROS), default="processes", help=runs)
     python = "the Python with rclpy (default: CFGPLAN_ROS_PYTHON, the Python of a sourced setup.bash, or python3)"
     parser.add_argument("--ros-python", metavar="PYTHON", help=python)
     add_links(parser)
@@ -147,32 +153,32 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
             needed(who, package)
     run_targets.check_options(options)
     if not options.dry_run:
-        _check_places(options)
+        check_places(options)
     for name in options.preload:
         top = name.partition(".")[0]
         if top not in sys.builtin_module_names and PathFinder.find_spec(top, ["", *sys.path]) is None:
             raise InputError.of(f"--preload: there is no module {name!r}", mend="write it as in an `import` statement")
-    if options.reload and (options.connect or options.middleware in _ROS):
+    if options.reload and (options.connect or options.middleware in OF_ROS):
         what = "files of this computer" if options.connect else "unit code, and not nodes of ROS"
         raise InputError.of(f"--reload watches {what}", mend="use `cfgplan ctl restart UNIT`")
     if not options.dry_run and (options.without or options.also or options.settings or options.observed):
         mend = "add --dry-run; or edit the file, or use `cfgplan ctl` while it runs"
         raise InputError.of("--without, --with, --set and --observed are allowed only with --dry-run", mend=mend)
     loaded = shared.load(options, screen)
-    if not options.dry_run and _fleet(options) is None:
+    if not options.dry_run and fleet_of(options) is None:
         refuse_hosts(loaded)
     elif not options.dry_run and not loaded.environment.hosts:
         mend = "name them under `hosts:`, or leave out --local and --connect"
         raise InputError.of("the file has no hosts", file=options.env, mend=mend)
-    _check_can_start(options, loaded)
-    if options.middleware in _ROS:
-        _check_nodes(options, loaded)
+    check_can_start(options, loaded)
+    if options.middleware in OF_ROS:
+        check_ros_nodes(options, loaded)
     else:
         if not options.dry_run:
-            _refuse_nodes(options, loaded)
-        _check_ros2(options, loaded)
+            refuse_nodes(options, loaded)
+        check_ros2_topics(options, loaded)
         if (check := run_targets.mqtt_check(options, loaded.environment)) is not None:
-            _tell_faults([check], options.env)
+            raise_all([check], options.env)
     facts = tuple(fact for fact in loaded.environment.facts if fact.type is not None)
     if facts and options.middleware != ROS1:  # in ROS 1, publishers say what their messages are
         from cfgplan_runtime.ros2.facts import check_facts
@@ -215,17 +221,17 @@ def _first_plan(options: argparse.Namespace, world: World, settings: Settings, s
     from cfgplan.cli.first_plan import FirstPlan, first_review, show_faults
     from cfgplan.domain import Environment
 
-    left, fleet = None, None if options.dry_run else _fleet(options)
+    left, fleet = None, None if options.dry_run else fleet_of(options)
     if fleet is not None:
         from cfgplan_runtime.fleet.fleet_runtime import left_units
 
-        left = left_units(fleet, world.environment, _folder(options))
+        left = left_units(fleet, world.environment, folder_of(options))
     matches = shared.matches(options, screen, world, FEW_PAIRS)
     known = matches.warnings
     adjusted = _adjusted(options, world)
-    faults = faults_of(adjusted.environment.library, _folder(options), settings.check)
+    faults = faults_of(adjusted.environment.library, folder_of(options), settings.check)
     if options.dry_run or not screen.json:  # the events of a run have them too
-        show_faults(faults, _folder(options), screen)
+        show_faults(faults, folder_of(options), screen)
     with screen.phase("plan"):
         running = Environment() if left is None else left.running
         failures = () if left is None else left.failures
@@ -243,131 +249,6 @@ def _differing(said: Environment | None) -> Callable[[Environment], str] | None:
     return None if said is None else partial(difference_text, said)
 
 
-def _check_places(options: argparse.Namespace) -> None:
-    """Raise InputError if the options name a place or a name that the run can't have, before anything is planned."""
-    from cfgplan_runtime.streams.run_folder import base_folder, is_called, live_runs
-
-    if options.record is not None and not Path(options.record).absolute().parent.is_dir():
-        mend = "make the folder, or name a file in another one"
-        raise InputError.of("the recording can't be written: its folder does not exist", file=options.record, mend=mend)
-    if options.metrics_port:
-        with socket.socket() as tried:
-            tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                tried.bind(("127.0.0.1", options.metrics_port))
-            except OSError as error:
-                mend = "name another port; 0 takes any that is free"
-                told = f"--metrics-port {options.metrics_port}: metrics can't be served there: {error.strerror}"
-                raise InputError.of(told, mend=mend) from None
-    if options.name is not None:
-        for other in live_runs(base_folder()):
-            if is_called(other, options.name):
-                mend = "choose another name, or stop that run with `cfgplan ctl --name NAME stop`"
-                raise InputError.of(f"--name: a live run is called {options.name!r} already ({other.name})", mend=mend)
-
-
-def _check_can_start(options: argparse.Namespace, world: World) -> None:
-    """Raise InputError where no transformation of the library could be started."""
-    library = world.environment.library
-    if not (world.environment.targets and library):
-        return
-    coded = [one for one in library if one.source]
-    if not coded:
-        labels = some((transformation.label for transformation in library), _MOST_NAMED)
-        message = f"nothing can be started: no transformation names its unit code ({labels})"
-        mend = "add `source: units.py:Class` to them, or plan with `solve`"
-        raise InputError.of(message, file=str(world.file.path) if world.file else None, mend=mend)
-    check, folder = _source_check(options), _folder(options)
-    if options.dry_run or check is None or options.middleware in _ROS:
-        return
-    faults = grouped((check(one, folder), one.label) for one in coded)
-    if None not in faults:
-        raise InputError(
-            replace(
-                fault,
-                message=f"{', '.join(labels)}: {fault.message}",
-                file=options.env if fault.file is None else str(folder / fault.file),
-            )
-            for fault, labels in faults.items()
-            if fault is not None
-        )
-
-
-def _refuse_nodes(options: argparse.Namespace, world: World) -> None:
-    from cfgplan.ros.sources import NodeSource
-
-    nodes = [one for one in world.environment.library if NodeSource.read(one.source) is not None]
-    if nodes:
-        mend = "add --middleware ros1 or --middleware ros2"
-        what = f"{nodes[0].label} is a node of ROS (`{nodes[0].source}`)"
-        raise InputError.of(what, file=options.env, mend=mend)
-
-
-def _check_nodes(options: argparse.Namespace, world: World) -> None:
-    """Raise all faults of ROS nodes before the first start, in a dry run too."""
-    from cfgplan_runtime.nodes.unit_checks import check_nodes
-
-    ros, bag = _ROS[options.middleware], "rosbag record" if options.middleware == ROS1 else "ros2 bag record"
-    if options.record is not None:
-        raise InputError.of(f"--record can't record messages of {ros}", mend=f"use `{bag}` on the targets' topics")
-    if options.ros2:
-        mend = "leave it out" if options.middleware == ROS2 else "leave it out, and use a bridge"
-        raise InputError.of(f"--ros2 is for units that are processes, not for nodes of {ros}", mend=mend)
-    if options.mqtt is not None:
-        raise InputError.of(
-            f"--mqtt is for units that are processes, not for nodes of {ros}", mend="leave it out, and use a bridge"
-        )
-    if _fleet(options) is not None:
-        raise InputError.of(f"{ros} nodes are started on this computer only", mend="leave out --local and --connect")
-    for statement, told in world.environment.told.items():
-        if options.middleware == ROS1 and told.teller is Teller.STATISTICS:
-            mend = "observe `/diagnostics`, a field of its messages, or what the run measures"
-            raise InputError.of(f"ROS 1 nodes publish no topic statistics ({statement})", file=options.env, mend=mend)
-    facts = [fact for fact in world.environment.facts if fact.observed_on and not fact.type]
-    if facts:
-        name = facts[0].name
-        mend = f"name the message `type` of its `topic`, or set the fact by `cfgplan ctl fact {name}=VALUE` alone"
-        what = f"a run of {ros} nodes can't observe facts without a message type ({name})"
-        raise InputError.of(what, file=options.env, mend=mend)
-    check_nodes(world.environment, options.env, _ros_unit(options).node_source, ros)
-
-
-def _check_ros2(options: argparse.Namespace, world: World) -> None:
-    """Report all faults of ROS 2 topics before any unit starts; other hosts check their own units."""
-    library = () if options.dry_run or _fleet(options) is not None else world.environment.library
-    units = [one for one in library if (one.source or "").startswith("cfgplan_runtime.ros2:")]
-    if not units and not options.ros2:
-        return
-    from cfgplan_runtime.ros2.targets import check_targets
-    from cfgplan_runtime.ros2.units import check_unit
-
-    folder = _folder(options)
-    checks: list[Callable[[], object]] = [partial(check_unit, each, folder) for each in units]
-    checks += [partial(check_targets, world.environment, folder)] if options.ros2 else []
-    _tell_faults(checks, options.env)
-    from cfgplan_runtime.ros2.ros_python import VARIABLE, ros_python
-
-    os.environ[VARIABLE] = ros_python(options.ros_python).program  # for units too, which then need not look for it
-
-
-def _tell_faults(checks: list[Callable[[], object]], file: str) -> None:
-    """Raise InputError with all the faults that checks raise, those without a file in this one."""
-    faults = list[Fault]()
-    for check in checks:
-        try:
-            check()
-        except InputError as error:
-            faults += (fault if fault.file else replace(fault, file=file) for fault in error.faults)
-    if faults:
-        raise InputError(faults)
-
-
-def _folder(options: argparse.Namespace) -> Path:
-    """The folder that file names in the environment are relative to."""
-    env = Path(options.env)
-    return env if env.is_dir() else env.parent
-
-
 def _operate(
     options: argparse.Namespace, world: World, settings: Settings, screen: Screen, said: Environment | None
 ) -> Exit:
@@ -376,8 +257,8 @@ def _operate(
     with Interrupts() as interrupts:
         with screen.phase("start"):
             operation = Operation(world, Path(options.env), settings)
-        topics = _facts_of_ros(options, operation), _qualities_of_ros(options, operation)
-        with operation, run_targets.published(options, operation, _folder(options)), topics[0], topics[1]:
+        topics = facts_of_ros(options, operation), qualities_of_ros(options, operation)
+        with operation, run_targets.published(options, operation, folder_of(options)), topics[0], topics[1]:
             interrupts.only_count()
             with screen.phase("plan"):
                 while not interrupts.count and not operation.begun.wait(_LIVE_LOOK_S):
@@ -516,112 +397,17 @@ def _settings(options: argparse.Namespace, screen: Screen) -> Settings:
             time_limit_s=Policy().time_limit_s if options.timeout is None else options.timeout,
             match_limit_s=options.reasoner_timeout,
             reasoner=options.reasoner,
-            hosts_s=None if _fleet(options) is None else _HOSTS_S,
-            refuses_hosts=_fleet(options) is None,
+            hosts_s=None if fleet_of(options) is None else _HOSTS_S,
+            refuses_hosts=fleet_of(options) is None,
             back_off=BackOffRules(alone_s=options.back_off),
         ),
         preload=options.preload,
         log=None if options.log is None else Path(options.log),
         record=None if options.record is None else Path(options.record),
         metrics_port=options.metrics_port,
-        runtime=_runtime(options, screen),
+        runtime=runtime_of(options, screen),
         adjust=partial(_adjusted, options),
-        check=_source_check(options),
+        check=source_check_of(options),
         reloads=options.reload,
         name=options.name,
     )
-
-
-@contextmanager
-def _qualities_of_ros(options: argparse.Namespace, operation: Operation) -> Iterator[None]:
-    """Read the topics of ROS that tell qualities of streams, if outputs are observed there. Raises InputError."""
-    if not operation.manager.world.environment.told:
-        yield
-        return
-    from cfgplan_runtime.operating.told_qualities import ToldQualities
-
-    mend = "let its publisher use another topic, or that type"
-    with ToldQualities(_reader(options, "qualities", mend, operation), operation.manager, operation.show):
-        yield
-
-
-@contextmanager
-def _facts_of_ros(options: argparse.Namespace, operation: Operation) -> Iterator[None]:
-    """Follow the topics of ROS that observe facts, if there are any. Raises InputError."""
-    facts = tuple(fact for fact in operation.manager.world.environment.facts if fact.type is not None)
-    if not facts:
-        yield
-        return
-    from cfgplan_runtime.operating.outside_topics import OutsideFacts
-
-    mend = "correct the `type` of its fact"
-    with OutsideFacts(_reader(options, "facts", mend, operation), operation.manager, operation.show):
-        yield
-
-
-def _reader(options: argparse.Namespace, purpose: str, mend: str, operation: Operation) -> TopicReader:
-    """The reader of topics of the ROS whose nodes run, of ROS 2 where no nodes do. Raises InputError.
-
-    ROS 1 tells only a reader that a topic is of another type; it says `mend` then.
-    """
-    if options.middleware == ROS1:
-        from cfgplan_runtime.ros1.topic_reader import Ros1Reader
-
-        return Ros1Reader(purpose, mend, operation.id, operation.show)
-    from cfgplan_runtime.ros2.facts import Ros2Reader
-
-    return Ros2Reader(purpose, operation.id, _folder(options), operation.show)
-
-
-def _source_check(options: argparse.Namespace) -> SourceCheck | None:
-    """Return the check of code before its start; None if the code is on other computers."""
-    from cfgplan_runtime.children.source_faults import fault_of, source_fault
-
-    if options.middleware in _ROS:
-        check_start = _ros_unit(options).check_start
-        return lambda transformation, folder: fault_of(lambda: check_start(transformation, folder), folder)
-    return None if options.connect else source_fault
-
-
-def _ros_unit(options: argparse.Namespace) -> ModuleType:
-    """The module that knows nodes of the ROS that is asked for."""
-    from importlib import import_module
-
-    return import_module(f"cfgplan_runtime.{'ros1.ros_unit' if options.middleware == ROS1 else 'ros2.ros2_unit'}")
-
-
-def _fleet(options: argparse.Namespace) -> Fleet | None:
-    """Return the access to the fleet's hosts; None without an option for it."""
-    if not (options.local or options.connect):
-        if options.take_over or options.certificates is not None:
-            mend = "name one of its agents by --connect"
-            raise InputError.of("--take-over and --certificates need a fleet", mend=mend)
-        return None
-    from cfgplan_runtime.fleet.fleet_runtime import Fleet
-
-    certificates = None if options.certificates is None else Path(options.certificates)
-    return Fleet(tuple(options.connect), certificates, options.local, options.take_over)
-
-
-def _runtime(
-    options: argparse.Namespace, screen: Screen
-) -> Callable[[Environment, Path], AbstractContextManager[Runtime]] | None:
-    """Return a factory of the runtime; None if units are processes of this computer."""
-    fleet = _fleet(options)
-    if options.middleware == ROS1:
-        from cfgplan_runtime.ros1.ros1_backend import Ros1Backend
-        from cfgplan_runtime.runtime import Runtime
-
-        return lambda _, folder: Runtime(backend=lambda: Ros1Backend(folder=folder, file=options.env))
-    if options.middleware == ROS2:
-        from cfgplan_runtime.ros2.ros2_backend import Ros2Backend
-        from cfgplan_runtime.ros2.ros_python import ros_python
-        from cfgplan_runtime.runtime import Runtime
-
-        python = ros_python(options.ros_python)
-        return lambda _, folder: Runtime(backend=lambda: Ros2Backend(folder=folder, python=python, file=options.env))
-    if fleet is None:
-        return None
-    from cfgplan_runtime.fleet.fleet_runtime import fleet_runtime
-
-    return lambda environment, folder: fleet_runtime(fleet, environment, folder, options.preload, screen.note)

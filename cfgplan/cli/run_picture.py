@@ -23,6 +23,7 @@ from cfgplan.amounts import clock_time, core_share, rate, span
 from cfgplan.cli.plan_text import in_stream_order
 from cfgplan.cli.run_output import RunOutput, fetched, show_files, show_ledger
 from cfgplan.cli.screen import Screen, counted, printable
+from cfgplan.summary import some
 
 if TYPE_CHECKING:
     from cfgplan_runtime.lifecycle.reports import Snapshot, UnitView
@@ -88,6 +89,8 @@ def _whole(run: str, environment: str, pid: int, state: Mapping[str, Any]) -> It
     yield _units(state)
     if state["lost_hosts"]:
         yield Text(f"Hosts that are gone: {', '.join(state['lost_hosts'])}.", style="yellow")
+    if state["units"] and (idle := _idle_hosts(state)):
+        yield Text(f"No unit on {some(idle)}.")
     if state["facts"]:
         yield Text(f"Facts: {', '.join(_facts(state))}.")
     for what, value in state["qualities_now"].items():
@@ -167,6 +170,12 @@ class RunPicture:
         yield from (Text("") for _ in range(log - len(shown)))
         footer = self.note or "Ctrl-C stops  ·  edit the file, or use `cfgplan ctl`, to change what runs"
         yield _clipped(Text(footer, style="bold yellow" if self.note else "dim"))
+
+
+def _idle_hosts(state: Mapping[str, Any]) -> list[str]:
+    """Return the hosts that are there, and have no unit."""
+    taken = {unit["host"] for unit in state["units"]}
+    return [host for host in state["hosts"] if host not in taken and host not in state["lost_hosts"]]
 
 
 def _facts(state: Mapping[str, Any]) -> Iterator[str]:

@@ -41,6 +41,8 @@ Point = tuple[float, int | None, int]
 MOST_POINTS = 40
 MOST_SAID = 4000
 """Number of characters kept of the output of a crashed process."""
+CHILD = (sys.executable, "-m", "cfgplan.comparing.child")
+"""The command of the process of a run."""
 
 
 @dataclass(frozen=True)
@@ -191,7 +193,7 @@ def _run_process(task: str, limit_s: float) -> tuple[str, str, int | None]:
     """The output, the errors and the exit code of a child; no code if it had to be killed."""
     path = os.pathsep.join(entry or str(Path.cwd()) for entry in sys.path)
     process = subprocess.Popen(
-        [sys.executable, "-m", "cfgplan.comparing.child"],
+        CHILD,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

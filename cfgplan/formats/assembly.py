@@ -366,8 +366,9 @@ def _build(document: Document, vocabulary: TagVocabulary) -> EnvironmentFile:
             _check_labels(entry.at("run"), [part.run], library, left_out)
         if is_new:
             targets[part.label] = Target(**{**part.values(), "quality": fleet.wishes(entry.at("quality"), part)})
-    for fact in variables(fleet.facts.values(), fleet.hosts).values():
+    for fact in variables(fleet.facts.values(), fleet.hosts):
         entry = Passage(document.files[0].source, ("facts", fact.name), faults)
+        names.is_new("fact", fact.key, entry, "of" if fact.host else "declared")
         if (wanted := observing(fact)) is not None:
             tags.check(wanted.tag, entry.at("by"))
             if names.is_new("target", wanted.label, entry, "by") & names.is_new("topic", wanted.topic, entry, "by"):
@@ -460,7 +461,7 @@ class _Names:
             self.origins[kind, name] = entry
             return True
         first = self.origins[kind, name]
-        what = {"topic": "topic", "unit": "unit id"}.get(kind, f"{kind} label")
+        what = {"topic": "topic", "unit": "unit id", "fact": "fact"}.get(kind, f"{kind} label")
         message = f"the {what} `{name}` is taken: {first.place.file}, line {first.place.line} uses it"
         if first == entry:
             message = f"several expansions of this template have the {'topic' if kind == 'topic' else 'label'} `{name}`"

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cfgplan.domain import Environment, Statement
 from cfgplan.errors import Fault, InputError, InvalidValueError, did_you_mean
-from cfgplan.facts import FactValue
+from cfgplan.facts import FactValue, kind_of
 from cfgplan.formats.files import read_text
 from cfgplan.formats.json_text import read_json
 from cfgplan.formats.places import Source
@@ -89,6 +89,10 @@ def _facts(source: Source, part: ObservedPart, environment: Environment, faults:
         if name not in environment.variable:
             message = f"the environment has no fact `{name}`"
             faults.append(source.fault(place, message, did_you_mean(name, environment.variable, _ANEW)))
+            continue
+        if not isinstance(value, bool | int | Decimal | str):
+            kind, written = kind_of(environment.variable[name].declared), json.dumps(value, default=float)
+            faults.append(source.fault(place, f"fact {name!r} is {kind}, not {written}", _ANEW))
             continue
         try:
             written = str(value).lower() if isinstance(value, bool) else str(value)

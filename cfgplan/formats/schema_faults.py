@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from decimal import Decimal
 from math import ceil
-from typing import Any, Literal, get_args, get_origin
+from typing import Any, Final, Literal, get_args, get_origin
 
 from pydantic import BaseModel
 
 from cfgplan.costs import guessed_s
 from cfgplan.errors import Fault, close_names
 from cfgplan.formats.fields import FORMAT, EnvironmentPart, IncludedPart, Part
+from cfgplan.formats.measures import MEASURES
 from cfgplan.formats.models import model_of
 from cfgplan.formats.places import Path, Source
 from cfgplan.formats.scalars import resolve
@@ -44,7 +44,8 @@ _EACH_MEANS = {
     "labor": "CPU seconds of one start",
     "max_cost": "the most that an update may cost",
 }
-_UNITS_OF_BYTES = {"k": Decimal("0.001"), "m": Decimal(1), "g": Decimal(1000)}
+_NAMED_BY_USERS = (("quality",), ("needs",), ("offers",))
+"""The mappings whose keys are names of the environment file."""
 _KINDS_OF_VALUE = {
     "string_type": "text",
     "int_type": "a whole number",
@@ -104,6 +105,16 @@ def _is_nominal(error: Any) -> bool:
     )
 
 
+_EMPTY_TAG: Final = ("the tag is empty", "write a concept, such as `Image`")
+_EMPTY_SELECTOR: Final = ("the selector is empty", "write a label of hosts, or labels joined by `and`, `or` and `not`")
+_EMPTY: Final = {
+    "on": _EMPTY_SELECTOR,
+    "between": _EMPTY_SELECTOR,
+    "requires": ("the requirement is empty", "write a fact, such as `night` or `visibility >= 2.25`, or remove it"),
+}
+"""By key of an expression that may not be empty: the message and the mend."""
+
+
 def _fault(source: Source, path: Path, at_key: bool, error: Any, part: type[BaseModel]) -> Fault:
     kind, value = error["type"], error["input"]
     if kind == "extra_forbidden":
@@ -132,7 +143,9 @@ def _fault(source: Source, path: Path, at_key: bool, error: Any, part: type[Base
         message = f"{_shown(value)} is no name" if value else "the name is empty"
         return source.fault(path, message, f"a name has no {barred} and no spaces around it", at_key=at_key)
     if kind == "string_too_short":
-        return source.fault(path, "the tag is empty", "write a concept, such as `Image`")
+        key = next((step for step in reversed(path) if isinstance(step, str)), "")
+        is_port = path[-2:-1] in (("inputs",), ("outputs",))
+        return source.fault(path, *(_EMPTY_TAG if is_port else _EMPTY.get(key, _EMPTY_TAG)))
     if kind in ("too_short", "too_long"):
         bound = "at least {min_length}" if kind == "too_short" else "at most {max_length}"
         wanted = f"this must be a list of {bound} entries, but has {{actual_length}}"
@@ -264,15 +277,12 @@ def _as_number(path: Path, wanted: str, value: object) -> str:
         return f"write a whole number, such as {ceil(value)}"
     if not isinstance(value, str):
         return f"write {wanted} here"
-    if path[-1] == "memory":
-        found = re.fullmatch(r"(\d+(?:\.\d+)?) ?([kmg])i?b?", value.casefold())
-        if found is not None and (megabytes := Decimal(found[1]) * _UNITS_OF_BYTES[found[2]]) >= 1:
-            return f"write megabytes, a plain number: {_plain(megabytes // 1)}"
-        return "write megabytes, a plain number, such as 200" + _if_quoted(value)
-    if path[-1] == "rate" and (found := re.fullmatch(r"(\d+(?:\.\d+)?) ?hz", value.casefold())):
-        return f"write elements per second, a plain number: {found[1]}"
-    if path[-1] == "size" and (found := re.fullmatch(r"(\d+(?:\.\d+)?) ?([kmg])i?b?", value.casefold())):
-        return f"write bytes, a plain number: {_plain(Decimal(found[1]) * _UNITS_OF_BYTES[found[2]] * 1_000_000)}"
+    if path[-2:-1] not in _NAMED_BY_USERS and (measure := MEASURES.get(str(path[-1]))) is not None:
+        number = measure.number(value)
+        if number is not None and is_whole:
+            number = number // 1 or None
+        said = f", such as {measure.usual}{_if_quoted(value)}" if number is None else f": {_plain(number)}"
+        return f"write {measure.unit}, a plain number{said}"
     meant = guessed_s(value)
     if path[-1] == "horizon":
         seconds = 600 if meant is None else ceil(meant)
@@ -280,7 +290,7 @@ def _as_number(path: Path, wanted: str, value: object) -> str:
     is_time = not is_whole and "seconds" in wanted
     if is_time and meant is not None and isinstance(resolve(value), str):
         return f"write a plain number of seconds: {_plain(meant)}"
-    return f"write a plain number, such as {'600' if is_whole else '0.3'}" + _if_quoted(value)
+    return f"write a plain number, such as {'1' if is_whole else '0.3'}" + _if_quoted(value)
 
 
 def _as_mapping(path: Path, value: object, part: type[BaseModel]) -> str:

@@ -14,7 +14,7 @@ from cfgplan.canonical import normal
 from cfgplan.costs import LARGEST_COST_US, LONGEST_HORIZON_S, MICROSECONDS, SPAN, microseconds, seconds, span_s
 from cfgplan.domain import Objective
 from cfgplan.errors import InvalidValueError
-from cfgplan.facts import FactValue
+from cfgplan.facts import LARGEST_FACT, FactValue
 from cfgplan.formats.forms import After, Before, Described, Instead, Limits, MoreSchema, RefusedError, Schema
 from cfgplan.noise import Noise
 from cfgplan.qualities import LARGEST_QUALITY, MICRO, Better, QualityRule, micro_units, units
@@ -132,6 +132,11 @@ def _micro(value: object) -> int:
     return _taken(micro_units, _number(value, "a quality is a number"))
 
 
+def _fact_number(value: object) -> int:
+    """A fact that is a number, in millionths."""
+    return _taken(lambda number: micro_units(number, LARGEST_FACT), _number(value, "this fact is a number"))
+
+
 def _fact_value(value: object) -> FactValue:
     """True or false, a number in millionths, or a word."""
     if type(value) is bool:
@@ -139,7 +144,7 @@ def _fact_value(value: object) -> FactValue:
     if type(value) is str and value.strip():
         return normal(value)
     if type(value) is int or type(value) is Decimal:
-        return _micro(value)
+        return _fact_number(value)
     raise RefusedError("this can't be the value of a fact", "write a number, true, false or a word")
 
 
@@ -162,7 +167,7 @@ def _noise(value: object) -> Noise:
     if type(value) is str and re.fullmatch(PERCENT, value):
         return Noise(_micro(Decimal(value.rstrip("% "))) // 100, is_share=True)
     if type(value) is int or type(value) is Decimal:
-        micro = _micro(value)
+        micro = _fact_number(value)
         if micro > 0:
             return Noise(micro)
     raise RefusedError("this can't be a noise", "write a standard deviation above 0, or a percentage such as 20 %")
@@ -319,6 +324,7 @@ QosText = Annotated[str, Limits(pattern=QOS), Described("words of a quality of s
 Whole = Annotated[int, Before(_whole)]
 _SECONDS = {"type": "number", "minimum": 0, "maximum": LARGEST_COST_US / MICROSECONDS}
 _QUALITY = {"type": "number", "minimum": 0, "maximum": LARGEST_QUALITY // MICRO}
+_FACT = {"type": "number", "minimum": -LARGEST_FACT // MICRO, "maximum": LARGEST_FACT // MICRO}
 _AMOUNT = {"minimum": 0, "maximum": LARGEST_AMOUNT}
 Cost = Annotated[int, Instead(_cost), Schema(_SECONDS), Written(plain_cost)]
 Seconds = Annotated[int, Instead(_seconds), Schema(_SECONDS), Written(plain_cost)]
@@ -361,7 +367,7 @@ Fact = Annotated[
         {
             "anyOf": [
                 {"type": "boolean"},
-                {**_QUALITY, "minimum": -LARGEST_QUALITY // MICRO},
+                _FACT,
                 {"type": "string", "pattern": r"\S"},
             ]
         }
@@ -369,6 +375,7 @@ Fact = Annotated[
     Written(_plain_fact),
 ]
 """The value of a fact."""
+FactNumber = Annotated[int, Instead(_fact_number), Schema(_FACT), Written(plain_quality)]
 StateName = Annotated[
     bool | str,
     Instead(_state),
@@ -378,7 +385,7 @@ StateName = Annotated[
 NoiseText = Annotated[
     Noise,
     Instead(_noise),
-    Schema({"anyOf": [{**_QUALITY, "exclusiveMinimum": 0}, {"type": "string", "pattern": f"^{PERCENT}$"}]}),
+    Schema({"anyOf": [{**_FACT, "minimum": 0, "exclusiveMinimum": 0}, {"type": "string", "pattern": f"^{PERCENT}$"}]}),
     Written(lambda noise: str(noise) if noise.is_share else plain_quality(noise.amount)),
 ]
 Speed = Annotated[

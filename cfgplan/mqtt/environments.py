@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,7 +20,9 @@ from cfgplan.summary import counted, some
 
 _SUBSCRIBER: Final = "cfgplan_runtime.mqtt:Subscriber"
 _OWN: Final = "cfgplan/"
-"""The prefix of the topics that runs publish, such as their status."""
+"""The prefix of the topics that runs publish."""
+_STATUS: Final = re.compile(rf"{_OWN}[^/]+/status")
+"""The topic that says by default whether a run is online."""
 _ALIKE: Final = 3
 """The least number of topics differing in one level for a hint."""
 _PATIENCE: Final = 5
@@ -72,7 +75,7 @@ def mqtt_imported(traffic: Traffic, params: Mapping[str, Any]) -> MqttImported:
     for entity in described:
         add(heard.get(entity.topic) or _silent(entity), entity)
     for topic in traffic.topics:
-        if topic.name not in taken | told.commands:
+        if topic.name not in taken | told.commands and not _STATUS.fullmatch(topic.name):
             add(topic)
     sources.sort(key=lambda source: source.label)
     commands = sorted(told.commands & heard.keys() - taken)
@@ -133,6 +136,8 @@ def _notes(traffic: Traffic, commands: Iterable[str]) -> Iterator[str]:
         yield f"{some(unread)}: no message that describes an entity"
     if untold := sorted({entity.topic for entity in traffic.discovered.entities if entity.path is None}):
         yield f"the descriptions of values on {some(untold)}: their templates do more than look up a field"
+    if statuses := [topic.name for topic in traffic.topics if _STATUS.fullmatch(topic.name)]:
+        yield f"{some(statuses)}: whether a run of cfgplan is online"
     if commands := list(commands):
         yield f"{some(commands)}: commands to devices, for which `cfgplan_runtime.mqtt:Publisher` is there"
 

@@ -45,6 +45,12 @@ class Decide:
 
     labels: int = row(600, "labels", "Networks of up to this size are searched before all else.", LIBRARIES)
     left: int = row(400, "labels", "So many that bounds leave are searched in a replan.", "`benchmark.py replan`")
+    disjoint: int = row(
+        5000, "labels", "With distinct inputs, up to this size, parts that share nothing come first.", "NAO, 20 to 200"
+    )
+    choices: int = row(
+        100, "facts", "They do if at most this many facts have more providers than they take.", "NAO; random libraries"
+    )
     chained: int = row(
         16, "labels", "Above this size, most expensive chains are charged before the search.", "NAO, 20 robots"
     )
@@ -90,6 +96,7 @@ class Replan:
         1.05, "times", "Plans up to this multiple of the cost after the most expensive failure are bounded.", AT_REST
     )
     ties: float = row(1.0, "s", "The solver may look so long for another plan at the same cost.", AT_REST)
+    many: int = row(100, "labels", "If so many are left, landmarks are charged by a linear program.", AT_REST)
 
 
 @dataclass(frozen=True)
@@ -152,6 +159,7 @@ class Near:
     )
     small: int = row(1000, "labels", "Below it, probing takes longer than it saves.", LIBRARIES)
     in_vain: float = row(30.0, "the engine's us/label^1.5", "They end so long after the last cheaper plan.", LIBRARIES)
+    soon: float = row(5.0, "the engine's us/label^1.5", "So long where the solver has hope.", LIBRARIES)
     times: int = row(8, "times", "Needs are chosen so often where one choice gives no missed landmark.", LIBRARIES)
     share: float = row(0.5, "share", "They take at most this part of the time that is left.", LIBRARIES)
     hopeless: float = row(0.08, "share of the cost", "From this gap on the solver has little hope.", LIBRARIES)
@@ -240,8 +248,8 @@ class Tuning:
         return cls(is_solver_only=True, counts=False, reduces=False)
 
     def without_search(self) -> Tuning:
-        """The same without a search of the planner's own."""
-        return replace(self, decide=replace(self.decide, steps=0))
+        """The same without a search or a proof of the planner's own before landmarks."""
+        return replace(self, decide=replace(self.decide, steps=0, disjoint=0))
 
     def rows(self) -> Iterator[tuple[str, object, Description]]:
         """Yield name, value and description of each number."""

@@ -114,7 +114,7 @@ class Soak:
         host = self._worker.host
         with self.excused():
             self.fleet.network.cut(host)
-            eventually(lambda: host in self.operation.runtime.supervisor.lost_hosts, PATIENCE_S)
+            self._await_loss(host)
             self.settle(without="large")
             self.fleet.network.mend(host)
             self._await_hosts()
@@ -179,6 +179,7 @@ class Soak:
             agent = self.fleet.agents[host]
             _await(lambda: agent.poll() is not None, lambda: f"{host} says {self.fleet.said(host)!r}")
             assert "was valid until" in self.fleet.said(host), self.fleet.said(host)
+            self._await_loss(host)  # or the next fault would seem to have caused it
             self.fleet.renew_certificate(host)
             self.fleet.restart()
             self._await_hosts()
@@ -308,6 +309,9 @@ class Soak:
         while len(self.result.values) == before and time.monotonic() < end_s:
             time.sleep(0.01)
         return len(self.result.values) > before
+
+    def _await_loss(self, host: str) -> None:
+        eventually(lambda: host in self.operation.runtime.supervisor.lost_hosts, PATIENCE_S)
 
     def _await_hosts(self) -> None:
         eventually(lambda: not self.operation.runtime.supervisor.lost_hosts, PATIENCE_S)

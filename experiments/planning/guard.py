@@ -27,6 +27,7 @@ from scale_suite import SCALE
 from cfgplan.domain import ChangeSet
 from cfgplan.planning import Problem, Status
 from experiments.families.deployments import deployment, with_a_ring, with_one_word
+from experiments.families.nao import nao
 from experiments.families.random_library import random_library
 from experiments.families.transport import transport
 from experiments.fleet import instances
@@ -65,6 +66,7 @@ PLAIN: dict[str, Callable[[int], Made]] = {
 }
 OTHERS: dict[str, Callable[[int], Made]] = {
     "distinct, 500": lambda seed: [random_library(seed, transformations=500, targets=3, distinct=0.5)],
+    "10 of 20 robots fused": lambda seed: [nao(seed, robots=20, fusion=10)],
     "required, 500": lambda seed: [_required(seed, 500)],
     "required, 5,000": lambda seed: [_required(seed, 5_000)],
     "replanning, 500": lambda seed: _replanning(seed, 500, 3),

@@ -31,6 +31,7 @@ def env(write: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch) -> Path:
         ("solve ENV --alternatives 1e9999999", "'1e9999999' is too large", "cfgplan solve --help"),
         ("solve ENV --horizon 999999999h", "is too long: write at most 1000000000 seconds", "cfgplan solve --help"),
         ("solve ENV --set t.priority=1e9999999", "'1e9999999' is not a whole number", "write one from -1000000000 to"),
+        ("ctl fact night", "'night' is not NAME=VALUE: write one, such as night=true", "cfgplan ctl fact --help"),
         ("solve ENV --planner os:getcwd", "error: the planner os:getcwd can't be called", "write it as `def plan("),
         ("explain ENV --stream o", "there is no output `o`", "write a/o"),
         (

@@ -20,6 +20,7 @@ targets:
   - {label: a, tag: A, topic: /a}
   - {label: b, tag: B, topic: /b}
 """
+pytestmark = pytest.mark.usefixtures("warm_runs")
 PAIR = ("--planner", "branch-and-bound", "--planner", "exhaustive", "--timeout", "30")
 
 

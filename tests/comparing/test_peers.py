@@ -33,6 +33,7 @@ from experiments.study.instances import Instance, generated, given
 from experiments.study.runner import run_one
 
 LIMITS = Limits(time_limit_s=20)
+pytestmark = pytest.mark.usefixtures("warm_runs")
 every_peer = pytest.mark.parametrize("name", PEERS)
 
 

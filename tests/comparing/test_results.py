@@ -90,7 +90,7 @@ def test_a_thinned_trace_keeps_its_ends() -> None:
 
 
 @pytest.fixture(scope="module")
-def tiny_rows(tmp_path_factory: pytest.TempPathFactory) -> list[Row]:
+def tiny_rows(warm_runs: None, tmp_path_factory: pytest.TempPathFactory) -> list[Row]:  # noqa: ARG001
     results = tmp_path_factory.mktemp("tiny") / "results.jsonl"
     return run(list(SUITES["tiny"]()), list(REGISTERED.values()), Limits(time_limit_s=20), results)
 
@@ -106,7 +106,6 @@ def test_every_registered_planner_keeps_the_invariants_on_the_tiny_suite(tiny_ro
     assert max(gap(r, reference) or 0.0 for r in tiny_rows if r.planner == "branch-and-bound") > 2
 
 
-@pytest.mark.xdist_group("tiny")
 def test_a_panel_over_time_shows_curves_that_coincide_and_names_who_has_none() -> None:
     pytest.importorskip("matplotlib", reason="the plots need the extra `plots`")
     figure = anytime([row("thick", 10, 1.0), row("thin", 10, 1.0), row("late", None)])
@@ -117,6 +116,7 @@ def test_a_panel_over_time_shows_curves_that_coincide_and_names_who_has_none() -
     assert under > over
 
 
+@pytest.mark.xdist_group("tiny")
 def test_a_report_has_tables_and_plots(tiny_rows: list[Row], tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="the plots need the extra `plots`")
     files = write_report(tiny_rows, tmp_path / "report")

@@ -53,7 +53,7 @@ def test_a_topic_is_heard_from_any_computer_across_swaps_of_what_feeds_it(fleet:
         listener.await_more(20)
         assert in_a_row(listener) and listener.subscription.dropped == 0
         assert (reached.hosts, reached.runs) == (["r1", "r2"], [runtime.id])
-        with pytest.raises(NoSuchTopicError, match="there is /result"):
+        with pytest.raises(NoSuchTopicError, match="did you mean `/result`"):
             reached.subscribe("/resolt")
 
 

@@ -20,7 +20,7 @@ STATED = (
 ENVIRONMENT = Environment(
     library=(Transformation("sonar", (), (OutputPort("p", "P", STATED),), 1, 1),),
     qualities=(QualityAttribute("error", Better.LOWER), QualityAttribute("gain", Better.HIGHER)),
-    facts=(Fact("light", MICRO),),
+    facts=(Fact("light", MICRO), Fact("mode", "survey")),
 )
 
 
@@ -85,3 +85,13 @@ def test_wrong_contents_have_a_place_and_a_mend(tmp_path: Path, qualities: str, 
     assert "now.json" in str(raised.value)
     assert fault.mend is not None
     assert "ctl observed --out" in fault.mend
+
+
+@pytest.mark.parametrize("value", ["null", "[1.5]", "{}"])
+def test_a_fact_that_is_a_word_is_no_other_json(tmp_path: Path, value: str) -> None:
+    path = tmp_path / "now.json"
+    path.write_text(f'{{"format_version": 1, "facts": {{"mode": {value}}}}}')
+    with pytest.raises(InputError) as raised:
+        read_observed(path, ENVIRONMENT)
+    (fault,) = raised.value.faults
+    assert (fault.message, fault.line) == (f"fact 'mode' is a word, not {value}", 1)

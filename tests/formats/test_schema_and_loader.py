@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -26,6 +27,11 @@ BETWEEN_PARTS = re.compile(
     r"|no hosts are declared|but its `declared` is"
 )
 """Faults of names, selectors and numbers that depend on another part; a schema has no words for them."""
+
+
+@cache
+def schema() -> Draft202012Validator:
+    return Draft202012Validator(json_schema(EnvironmentPart))
 
 
 def every_key() -> Any:
@@ -77,11 +83,10 @@ def is_taken(folder: Path, data: Any) -> bool:
 
 @pytest.mark.parametrize("value", VALUES, ids=json.dumps)
 def test_the_schema_and_the_loader_take_a_value_in_the_same_places(tmp_path: Path, value: object) -> None:
-    schema = Draft202012Validator(json_schema(EnvironmentPart))
     differ = [
         way
         for alone, way in places()
-        if schema.is_valid(changed := with_value(alone, way, value)) != is_taken(tmp_path, changed)
+        if schema().is_valid(changed := with_value(alone, way, value)) != is_taken(tmp_path, changed)
     ]
     assert not differ
 
@@ -90,7 +95,7 @@ def test_the_schema_and_the_loader_take_a_value_in_the_same_places(tmp_path: Pat
 def test_what_is_finer_than_a_millionth_is_refused_by_the_loader_alone(tmp_path: Path, key: str, value: float) -> None:
     """Seen by a schema, 0.3 is no multiple of 0.000001: floating-point numbers can't tell."""
     data = {"format": "cfgplan/1", key: value}
-    assert Draft202012Validator(json_schema(EnvironmentPart)).is_valid(data)
+    assert schema().is_valid(data)
     assert "finer than a microsecond" in faults_of(tmp_path, json.dumps(data), "env.json")[0].message
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
-from cfgplan.matching import Ontology
+from cfgplan.matching import Ontology, hermit
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "experiments" / "matching"))
 
@@ -27,3 +28,31 @@ def streams() -> Ontology:
         ],
         {"": "w#", "w": "w#"},
     )
+
+
+_Question = tuple[str, tuple[str, ...]]
+
+
+@pytest.fixture(scope="session")
+def known_answers() -> dict[_Question, dict[str, bool]]:
+    """The complete answers to questions without a time limit, by document and classes."""
+    return {}
+
+
+@pytest.fixture(autouse=True)
+def asked_once(known_answers: dict[_Question, dict[str, bool]], monkeypatch: pytest.MonkeyPatch) -> None:
+    """HermiT is asked the same question once for all tests of the room, since each question starts a Java."""
+    ask = hermit.satisfiable
+
+    def satisfiable(
+        document: str, classes: Sequence[str], *, time_limit_s: float | None = None, patience_s: float | None = None
+    ) -> dict[str, bool]:
+        question = document, tuple(classes)
+        if time_limit_s is None and question in known_answers:
+            return known_answers[question]
+        told = ask(document, classes, time_limit_s=time_limit_s, patience_s=patience_s)
+        if time_limit_s is None and len(told) == len(classes):
+            known_answers[question] = told
+        return told
+
+    monkeypatch.setattr(hermit, "satisfiable", satisfiable)

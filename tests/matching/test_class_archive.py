@@ -19,6 +19,11 @@ one_archive = pytest.mark.xdist_group("class archive")
 DOCUMENT = "Ontology(<t:o> Declaration(Class(<t:0>)) Declaration(Class(<t:1>)) DisjointClasses(<t:0> <t:1>))"
 
 
+@pytest.fixture
+def asked_once() -> None:
+    """These tests are about each start of Java."""
+
+
 @pytest.fixture(autouse=True)
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))

@@ -58,7 +58,8 @@ def test_what_was_asked_is_known_after_tags_come_and_go(monkeypatch: pytest.Monk
     some.decide([("C", "W")])
     some.remove(offered=["C", "D"])
     some.add(offered=["(C)"])
-    monkeypatch.setattr(hermit, "_run", None)
+    for question in ("classify", "satisfiable"):
+        monkeypatch.setattr(hermit, question, None)
     assert some.matching(decide=False).similarity.offers == {"W": {"(C)", "A"}}
 
 

@@ -179,11 +179,15 @@ def test_a_slash_at_the_beginning_is_no_level_of_the_tags_and_topics_that_only_i
 
 @pytest.mark.parametrize("topic", ["/window", "window", "cfgplan/window"])
 def test_the_example_of_a_target_has_a_topic_that_no_source_hears(topic: str) -> None:
-    found = made({topic: [b"1"], "cfgplan/a/status": [b"online"]})
-    target = yaml.safe_load(found.example)
+    target = yaml.safe_load(made({topic: [b"1"], "cfgplan/other": [b"2"]}).example)
     assert target["topic"].startswith("cfgplan/")
-    assert target["topic"] not in {topic, "cfgplan/a/status"}
-    assert ("status" in target["tag"]) is (topic == "cfgplan/window")
+    assert target["topic"] not in {topic, "cfgplan/other"}
+
+
+def test_the_status_of_runs_is_no_source_and_is_told() -> None:
+    found = made({"cfgplan/a/status": [b"online"], "lamp/status": [b"on"], "cfgplan/a": [b"1"]})
+    assert [source.topic.name for source in found.sources] == ["cfgplan/a", "lamp/status"]
+    assert found.notes == ("cfgplan/a/status: whether a run of cfgplan is online",)
 
 
 def test_commands_are_no_sources_and_are_told() -> None:

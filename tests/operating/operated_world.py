@@ -95,6 +95,8 @@ def await_event(process: subprocess.Popen[str], event: str, **facts: Any) -> dic
     """The next event of a kind with these facts that a run prints."""
     assert process.stdout is not None
     for line in process.stdout:
+        if line == "{\n":  # the document of an error, over several lines
+            raise AssertionError(f"the run did not begin: {process.stdout.read()}")
         told: dict[str, Any] = json.loads(line)
         if told["event"] == event and all(told.get(key) == value for key, value in facts.items()):
             return told

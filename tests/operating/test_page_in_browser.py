@@ -21,14 +21,14 @@ from cfgplan_runtime.operating.moments import Moments
 from cfgplan_runtime.operating.operation import Operation, Settings
 from cfgplan_runtime.page.server import PageServer
 from cfgplan_runtime.streams.run_folder import RunFolder, base_folder, topics_of
-from cfgplan_runtime.supervision.backend import TAPS
+from cfgplan_runtime.streams.topic_names import TAPS
 from fake_manager import DETECTOR, FORESEEN_IN, SNAPSHOT, FakeManager, observation
 from operated_world import PATIENCE_S, eventually, write_world
 from page_world import building, with_a_kill
 
 from cfgplan import api
 from cfgplan.amounts import core_share, rate, span
-from cfgplan.domain import ChangeSet, ComputationUnit, Publication, Stream, Subscription
+from cfgplan.domain import ChangeSet, ComputationUnit, Host, Publication, Stream, Subscription
 
 MARKUP = "<img src=x onerror=alert(1)> & \\N"
 WINDOWS = [{"width": 1400, "height": 1500}, {"width": 400, "height": 3000}]
@@ -178,6 +178,15 @@ def test_a_search_and_only_unmet_shorten_the_lists(page: PageServer, manager: Fa
         tab.uncheck("#only-unmet")
         tab.fill("#find", "room7")
         assert (tab.locator("#targets .row").count(), tab.locator("#units .row").count()) == (1, 2)
+
+
+def test_all_hosts_are_listed_with_their_number_of_units(page: PageServer, manager: FakeManager) -> None:
+    hosts = tuple(map(Host, ("attic", "nao1", "shed")))
+    manager.shows(replace(SNAPSHOT, environment=replace(SNAPSHOT.environment, hosts=hosts), lost_hosts=("attic",)))
+    with browser(page) as (tab, wrong):
+        rows = tab.locator("#hosts li > span").all_inner_texts()
+        assert rows == ["attic · gone", "nao1 · 1 unit", "shed · 0 units"]
+        assert wrong == []
 
 
 def test_figures_are_those_of_the_terminal(page: PageServer) -> None:

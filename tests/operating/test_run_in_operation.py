@@ -37,14 +37,6 @@ SHOW = """
 def show(balls):
     print("seen by", *(ball["robot"] for ball in balls))
 """
-SLOW_END = """
-    def set_state(self, state):
-        pass
-
-    def get_state(self):
-        import time
-        time.sleep(3600)
-"""
 
 
 pytestmark = pytest.mark.usefixtures("warm_cfgplan")

@@ -26,7 +26,7 @@ from fake_manager import CAMERA, DETECTOR, REVIEW, SNAPSHOT, observation
 from operated_world import PATIENCE_S, command, write_world
 from rich.console import Console
 
-from cfgplan.cli.run_picture import LogLine, RunPicture
+from cfgplan.cli.run_picture import LogLine, RunPicture, state_text
 from cfgplan.domain import ComputationUnit, Environment, Host, InputPort, Stream, Subscription, Transformation
 from cfgplan.errors import Fault
 
@@ -98,6 +98,16 @@ def test_it_fills_the_terminal_and_no_more(width: int, height: int, faults: tupl
 
 def test_hosts_that_are_gone_stand_in_the_first_line() -> None:
     assert "gone: r1, r2" in drawn(replace(SNAPSHOT, lost_hosts=("r1", "r2")))[0]
+
+
+def test_the_state_names_the_hosts_without_a_unit() -> None:
+    hosts = tuple(map(Host, ("attic", "nao1", "shed")))
+    environment = replace(SNAPSHOT.environment, hosts=hosts)
+    with_hosts = replace(SNAPSHOT, environment=environment, lost_hosts=("attic",))
+    console = Console(file=StringIO(), width=100)
+    console.print(state_text("run", "env.yaml", 1, {**snapshot_record(with_hosts), "crossings": []}))
+    shown = console.file.getvalue()  # type: ignore[attr-defined]
+    assert "Hosts that are gone: attic." in shown and "No unit on shed." in shown
 
 
 def test_where_not_all_fits_what_is_wrong_comes_first() -> None:

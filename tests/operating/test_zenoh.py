@@ -247,24 +247,35 @@ def test_a_run_takes_from_zenoh_and_gives_to_it(tmp_path: Path, hear: Units, pub
         assert process.returncode == 0
 
 
+REFUSED_AT_ONCE: list[tuple[dict[str, Any], str]] = [
+    ({"connect": None}, "needs an endpoint"),
+    ({"connect": "127.0.0.1:7447"}, "`127.0.0.1:7447` is not an endpoint of Zenoh"),
+    ({"key_expr": "a//b"}, "`a//b` is not a key expression: .*empty chunks are forbidden"),
+    ({"payload": "yaml"}, "`yaml` is not a form of payload"),
+    ({"field": "a", "payload": "number"}, "has no fields"),
+    ({"conect": "tcp/a:1"}, "did you mean `connect`"),
+    ({"password": "secret"}, "an environment file can't hold a password"),
+    ({"password_env": "NO_SUCH_VARIABLE"}, "a password without a name"),
+]
+
+
 @pytest.mark.parametrize(
     ("params", "message"),
     [
-        ({"connect": None}, "needs an endpoint"),
-        ({"connect": "127.0.0.1:7447"}, "`127.0.0.1:7447` is not an endpoint of Zenoh"),
-        ({"key_expr": "a//b"}, "`a//b` is not a key expression: .*empty chunks are forbidden"),
-        ({"payload": "yaml"}, "`yaml` is not a form of payload"),
-        ({"field": "a", "payload": "number"}, "has no fields"),
-        ({"conect": "tcp/a:1"}, "did you mean `connect`"),
-        ({"password": "secret"}, "an environment file can't hold a password"),
+        *REFUSED_AT_ONCE,
         ({"username": "bob", "password_env": "NO_SUCH_VARIABLE"}, "NO_SUCH_VARIABLE is not set"),
-        ({"password_env": "NO_SUCH_VARIABLE"}, "a password without a name"),
     ],
 )
 def test_parameters_that_can_not_be_meant_are_refused(params: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message) as refused:
         Subscriber(**{"key_expr": "x", "connect": "tcp/127.0.0.1:1", **params})
     assert "secret" not in str(refused.value)
+
+
+@pytest.mark.parametrize(("params", "message"), REFUSED_AT_ONCE)
+def test_they_are_refused_before_a_run_if_the_machine_does_not_matter(params: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Subscriber.check_params({"key_expr": "x", "connect": "tcp/127.0.0.1:1", **params})
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from fleets import (
     with_words_that_do_nothing,
 )
 from hypothesis import strategies as st
-from worlds import costs_far_apart, fusions, histories, oracle_of, problems, required_within_a_cost
+from worlds import costs_far_apart, fusions, histories, oracle_of, pipelines, problems, required_within_a_cost
 
 from cfgplan.domain import Similarity
 from cfgplan.planners import PLANNERS
@@ -184,7 +184,7 @@ COUNTABLE = st.one_of(
 
 KINDS: Mapping[str, Kind] = MappingProxyType(
     {
-        "plain": Kind(st.one_of(problems(special=False), problems(most=5), fusions()), of_one),
+        "plain": Kind(st.one_of(problems(special=False), problems(most=5), fusions(), pipelines()), of_one),
         "nearly plain": Kind(
             nearly_plain().filter(lambda problem: bool(problem.features) and sets_of_units(problem) < 2000), of_one
         ),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 from itertools import combinations
 from unittest import mock
@@ -197,6 +198,15 @@ def test_no_landmarks_are_looked_for_everywhere_while_few_labels_are_left() -> N
         few.look_near(Clock())
 
 
+@pytest.mark.parametrize("many", [0, 301])
+def test_targets_are_planned_anew_for_a_shorter_time_where_few_labels_are_left(many: int) -> None:
+    near = replace(EVERYWHERE, many=many, soon=0.0)
+    with mock.patch.object(Neighbourhoods, "go_on", side_effect=InterruptedError):
+        both = first_closing(random_library(5, transformations=300, targets=12), near)
+        with nullcontext() if many else pytest.raises(InterruptedError):
+            both.look_near(Clock())
+
+
 def test_no_target_is_planned_anew_where_a_plan_is_more_than_its_labels() -> None:
     both = first_closing(random_library(3, transformations=60, targets=10, distinct=0.5))
     before = both.plan.tolist()
@@ -212,7 +222,7 @@ def test_landmarks_are_looked_for_until_none_is_missed_and_raise_the_bound() -> 
     both = first_closing(problem)
     both.go_on(Clock())
     before = both.bound.value
-    with mock.patch.object(Neighbourhoods, "is_exhausted", property(lambda _: True)):
+    with mock.patch.object(Neighbourhoods, "are_in_vain", return_value=True):
         both.look_near(Clock())
     assert before < both.bound.value <= best.cost_us
     program, _, separator = both._restricted()

@@ -28,13 +28,14 @@ from cfgplan.domain import (
 )
 from cfgplan.planners.bounding.bounds import Bound, cheapest_way, tightened
 from cfgplan.planners.bounding.landmarks import ways_into
-from cfgplan.planners.cpsat import plan
+from cfgplan.planners.cpsat import PlannerSession, plan
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.grounded import Grounded
 from cfgplan.planners.exact.pruning import lean
 from cfgplan.planners.networks.greedy import first_plan, plan_at
 from cfgplan.planners.networks.network import Network
 from cfgplan.planners.solving.clock import Clock
+from cfgplan.planners.tuning import USUAL
 from cfgplan.planning import Problem, Status
 from cfgplan.qualities import Better, Contribution, QualityAttribute, QualityRule, Wish
 from cfgplan.reasons import Providers, forward_closure, startable
@@ -180,6 +181,12 @@ def pairs(layers: int) -> Problem:
     return Problem(Environment((), library, (Target("t", f"T{layers - 1}", "/t"),)), similarity, 1)
 
 
+def test_a_deep_row_of_pairs_is_proven_by_parts_that_share_nothing() -> None:
+    found = plan(pairs(300))
+    assert (found.status, found.cost_us, found.ties_proven) == (Status.OPTIMAL, 299 * 11 + 5, True)
+    assert "landmarks" not in found.counts
+
+
 def test_a_deep_row_of_pairs_has_a_first_plan() -> None:
     problem = pairs(1_200)
     library = problem.environment.library
@@ -201,7 +208,8 @@ def test_no_more_landmarks_are_looked_for_than_pay_where_the_way_is_deep() -> No
         patch("cfgplan.planners.bounding.bounds.ways_into", wraps=ways_into) as landmarks,
         patch("cfgplan.planners.bounding.bounds.tightened", first),
     ):
-        found = plan(problem, report=lambda progress: costs.append(progress.cost_us))
+        session = PlannerSession(USUAL.without_search(), is_asked_once=True)
+        found = session.plan(problem, report=lambda progress: costs.append(progress.cost_us))
     assert (found.status, found.cost_us) == (Status.OPTIMAL, 99 * 11 + 5)
     assert offered == [found.cost_us]
     assert landmarks.call_count <= 100

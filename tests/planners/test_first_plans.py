@@ -15,7 +15,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from test_fleets_against_the_oracle import some
 from test_planners import make, world
-from worlds import problems
+from worlds import fusions, problems
 
 from cfgplan.domain import ComputationUnit, Environment, Host, InputPort
 from cfgplan.planners import PLANNERS
@@ -112,6 +112,14 @@ def test_a_feedback_input_that_may_stay_unfed_and_has_no_feeder_does_not_keep_a_
     assert plan_violations(problem, PLANNERS["cpsat"](problem)) == []
 
 
+def test_a_first_plan_pays_for_each_of_several_different_feeders() -> None:
+    fuse = kind("fuse", "AA", "D", distinct=(0, 1))
+    feeders = [kind(label, gives="A", labor_us=cost) for label, cost in (("a", 5), ("b", 6), ("c", 7))]
+    network = Candidates(fixed_world("D", *feeders, fuse, kind("alone", gives="D", labor_us=10))).network
+    cost = [one.labor_us for one in network.transformations]
+    assert plan_at(network, cost, [float(one) for one in cost]) == {network.number["alone"]}
+
+
 @pytest.mark.parametrize(
     "problem",
     [
@@ -130,7 +138,7 @@ def test_there_is_a_first_plan(problem: Problem) -> None:
 
 
 @some
-@given(problems(most=9))
+@given(st.one_of(problems(most=9), fusions()))
 def test_a_small_network_has_the_same_first_plan_in_lists_as_in_arrays(problem: Problem) -> None:
     network = Structure.of(problem, None, Clock()).network
     cost = costs(problem, network)[1]

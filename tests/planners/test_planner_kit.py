@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from random import Random
@@ -90,12 +90,9 @@ def stops_an_unknown_unit(_: Problem, found: Plan) -> Plan:
     return replace(found, change_set=replace(found.change_set, stopped=(*found.change_set.stopped, "nobody.1")))
 
 
-def starts_under_another_id(problem: Problem, found: Plan) -> Plan:
-    """What runs on is stopped, and started under another id, as if that were for nothing."""
+def renamed(problem: Problem, found: Plan, names: Mapping[str, str]) -> Plan:
+    """The plan with other ids of units."""
     assert found.change_set is not None
-    changes, kept = found.change_set, {unit.id for unit in problem.environment.units} - {*found.change_set.stopped}
-    names = {name: f"{name}.again" for name in kept}
-    after = problem.environment.update(changes)
     units = tuple(
         replace(
             unit,
@@ -105,9 +102,16 @@ def starts_under_another_id(problem: Problem, found: Plan) -> Plan:
                 for s in unit.subscriptions
             ),
         )
-        for unit in after.units
+        for unit in problem.environment.update(found.change_set).units
     )
     return replace(found, change_set=problem.environment.change_to(units))
+
+
+def starts_under_another_id(problem: Problem, found: Plan) -> Plan:
+    """What runs on is stopped, and started under another id, as if that were for nothing."""
+    assert found.change_set is not None
+    kept = {unit.id for unit in problem.environment.units} - {*found.change_set.stopped}
+    return renamed(problem, found, {name: f"{name}.again" for name in kept})
 
 
 def takes_ids_of_the_dead(problem: Problem, found: Plan) -> Plan:
@@ -115,20 +119,8 @@ def takes_ids_of_the_dead(problem: Problem, found: Plan) -> Plan:
     assert found.change_set is not None
     there = {unit.id for unit in problem.environment.units}
     dead = sorted({s.stream.unit for unit in problem.environment.units for s in unit.subscriptions} - there)
-    after = problem.environment.update(found.change_set)
-    names = dict(zip((unit.id for unit in found.change_set.started), dead, strict=False))
-    units = tuple(
-        replace(
-            unit,
-            id=names.get(unit.id, unit.id),
-            subscriptions=tuple(
-                Subscription(s.port, Stream(names.get(s.stream.unit, s.stream.unit), s.stream.port))
-                for s in unit.subscriptions
-            ),
-        )
-        for unit in after.units
-    )
-    return replace(found, change_set=problem.environment.change_to(units))
+    started = (unit.id for unit in found.change_set.started)
+    return renamed(problem, found, dict(zip(started, dead, strict=False)))
 
 
 def leaves_what_is_not_needed(problem: Problem, found: Plan) -> Plan:

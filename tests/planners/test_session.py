@@ -39,7 +39,7 @@ from cfgplan.planners.cpsat import PlannerSession, plan
 from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.memory import Structure
 from cfgplan.planners.exact.solve_run import SolveRun
-from cfgplan.planners.tuning import Decide, Tuning
+from cfgplan.planners.tuning import Decide, Replan, Tuning
 from cfgplan.planning import Problem, Progress, Status
 from cfgplan.validity import plan_violations
 from experiments.families.random_library import random_library
@@ -131,12 +131,18 @@ def test_after_rest_failures_and_moved_costs_are_answered_as_well_as_a_cold_plan
 
 
 @examples(60, part=4)
-@given(st.integers(0, 10**6), st.integers(20, 80), st.integers(1, 8), st.sampled_from([1, 3, 10, 30, 1500]))
+@given(
+    st.integers(0, 10**6),
+    st.integers(20, 80),
+    st.integers(1, 8),
+    st.sampled_from([1, 3, 10, 30, 1500]),
+    st.sampled_from([0, 100]),
+)
 def test_a_replan_in_a_library_that_is_not_small_is_as_good_as_a_cold_plan(
-    seed: int, size: int, targets: int, steps: int
+    seed: int, size: int, targets: int, steps: int, many: int
 ) -> None:
     problem, draw = random_library(seed, transformations=size, targets=targets), random.Random(seed)
-    session = PlannerSession(Tuning(decide=Decide(steps=steps)))
+    session = PlannerSession(Tuning(decide=Decide(steps=steps), replan=Replan(many=many)))
     first = session.plan(problem)
     assert first.change_set is not None
     running = problem.environment.update(first.change_set)
@@ -149,6 +155,18 @@ def test_a_replan_in_a_library_that_is_not_small_is_as_good_as_a_cold_plan(
         warm = session.plan(moved)
         assert plan_violations(moved, warm) == []
         assert quality(warm) == quality(plan(moved))
+
+
+def test_landmarks_that_a_linear_program_charges_leave_a_replan_nothing_to_search() -> None:
+    problem = random_library(11, transformations=150, targets=8)
+    for many, is_searched in ((0, False), (10**6, True)):
+        session = PlannerSession(Tuning(replan=Replan(many=many)))
+        first = session.plan(problem)
+        assert first.change_set is not None
+        running = problem.environment.update(first.change_set)
+        session.plan(replace(problem, environment=running))
+        failed = [replace(problem, environment=running.without_unit(unit.id)) for unit in running.units]
+        assert any(session.plan(one).counts.get("nodes") for one in failed) == is_searched
 
 
 def hard_problem(demands: int = 150) -> Problem:

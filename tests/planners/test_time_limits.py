@@ -24,6 +24,8 @@ from worlds import examples, problems
 import cfgplan.planners
 from cfgplan.figures import cost_parts
 from cfgplan.planners.cpsat import plan
+from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.reducing.closure import Closure
 from cfgplan.planners.solving import clock
 from cfgplan.planners.solving.clock import STOPPING_S, Clock, OutOfTimeError
 from cfgplan.planning import Failures, Feature, Plan, Problem, Status
@@ -214,6 +216,13 @@ def test_some_time_after_a_stop_nothing_is_begun_any_more() -> None:
         with pytest.raises(OutOfTimeError):
             for _ in range(2 + int(STOPPING_S)):
                 next(watched.each("a"))
+
+
+def test_new_units_get_no_numbers_once_the_time_is_over() -> None:
+    problem, numbered = PROBLEMS["plain"], "cfgplan.planners.exact.candidates.fresh_units"
+    closure = Closure.of(problem, Clock())
+    with patch(numbered, side_effect=AssertionError), pytest.raises(OutOfTimeError):
+        Candidates(problem, closure, clock=Clock(0.0))
 
 
 def test_work_is_given_up_by_loops_over_each_alone() -> None:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from unittest.mock import patch
 
 from hypothesis import HealthCheck, assume, settings
 from hypothesis import strategies as st
@@ -21,7 +24,7 @@ from cfgplan.domain import (
     Transformation,
 )
 from cfgplan.errors import InputError
-from cfgplan.planners import PLANNERS
+from cfgplan.planners import PLANNERS, exhaustive
 from cfgplan.planning import Plan, Problem
 
 TAGS = ("A", "B", "C", "D")
@@ -117,6 +120,34 @@ def fusions(draw: st.DrawFn) -> Problem:
 
 
 @st.composite
+def pipelines(draw: st.DrawFn) -> Problem:
+    """Pipelines that share nothing but perhaps a source, with alternatives inside; two or three are fused."""
+    paid, rate = st.integers(0, 9), st.integers(0, 1)
+
+    def made(label: str, inputs: list[str], output: str, group: str | None = None) -> Transformation:
+        ports = tuple(InputPort(f"i{i}", tag, distinct=group) for i, tag in enumerate(inputs))
+        return Transformation(label, ports, (OutputPort("x", output),), draw(paid), draw(rate))
+
+    count = draw(st.integers(2, 4))
+    library = [made("fuse", ["C"] * draw(st.integers(2, min(count, 3))), "Q", "g")]
+    is_shared = draw(st.booleans())
+    if is_shared:
+        library.append(made("shared", [], "S"))
+    for i in range(count):
+        length = draw(st.sampled_from([1, 1, 2, 2, 3] if count < 4 else [1, 1, 2]))
+        for stage in range(length):
+            inputs = [f"{i}.{stage - 1}"] if stage else ["S"] if is_shared and draw(st.booleans()) else []
+            output = "C" if stage == length - 1 else f"{i}.{stage}"
+            alternatives = draw(st.sampled_from([1, 1, 2])) if stage < length - 1 and len(library) < 8 else 1
+            library += [made(f"m{i}{stage}{way}", inputs, output) for way in range(alternatives)]
+    tags = {port.tag for t in library for port in t.outputs}
+    relation = Similarity({tag: frozenset({tag}) for tag in tags})
+    targets = [Target("Q", "Q", "/Q")]
+    units = draw(running_units(library, targets, relation)) if draw(st.integers(0, 3)) == 0 else []
+    return Problem(Environment(tuple(units), tuple(library), tuple(targets)), relation, draw(st.integers(0, 2)))
+
+
+@st.composite
 def running_units(
     draw: st.DrawFn, library: list[Transformation], targets: list[Target], relation: Similarity
 ) -> list[ComputationUnit]:
@@ -182,10 +213,24 @@ def changed(draw: st.DrawFn, problem: Problem) -> Problem:
     )
 
 
+DRAWS_ALL = "CFGPLAN_EXAMPLES" in os.environ or os.environ.get("CFGPLAN_SHARE") == "1"
+"""Whether all examples are drawn, as at night."""
+FEW_STEPS = 10_000
+"""The steps that the oracle may take for an example of a push: they take about 2 s of CPU."""
+
+
+@contextmanager
+def few_steps() -> Iterator[None]:
+    """Let the oracle refuse what takes it long, unless all examples are drawn: one of them may take half a minute."""
+    with patch.object(exhaustive, "MOST_STEPS", exhaustive.MOST_STEPS if DRAWS_ALL else FEW_STEPS):
+        yield
+
+
 def oracle_of(problem: Problem) -> Plan:
     """The oracle's answer; the example is not counted where it refuses one."""
     try:
-        return PLANNERS["exhaustive"](problem)
+        with few_steps():
+            return PLANNERS["exhaustive"](problem)
     except InputError:
         assume(False)
         raise

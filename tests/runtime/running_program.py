@@ -67,6 +67,7 @@ def end(*_: object) -> None:
 def wrong(deed: str, step: int, number: int) -> None:
     """Say something wrong at step 5, and what is right at every other."""
     right: dict[str, Any] = {"step": step, "outputs": {PORT: number}}
+    large = "x" * (1 << 26) if deed == "large" else ""  # to make it takes long
     messages: dict[str, list[object]] = {
         "chatter": [b"loading the model\n", right],
         "broken": [framed(b"\x02\0\0\0\x92\xc1") if IS_MSGPACK else b"{'outputs': {}}\n"],
@@ -81,7 +82,7 @@ def wrong(deed: str, step: int, number: int) -> None:
         "port": [right | {"outputs": {"z": number}}],
         "time": [[right | {"time_ns": 2}, right | {"time_ns": 1}]],
         "no time": [right | {"time_ns": 1 << 64 - 1}],
-        "large": [right | {"outputs": {PORT: "x" * (1 << 26)}}],
+        "large": [right | {"outputs": {PORT: large}}],
         "twice": [right, right],
         "late": [right, {"step": step - 1, "outputs": {PORT: -1}}],
         "early": [right | {"step": step + 1000, "outputs": {PORT: -1}}, right],

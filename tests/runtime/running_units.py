@@ -196,6 +196,21 @@ class Clock:
         self.ticks = state
 
 
+class SlowFirst(Clock):
+    """A source whose first step takes longer than a hand-over."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.has_begun = False
+
+    def __call__(self) -> int:
+        ticks = super().__call__()
+        if not self.has_begun:
+            self.has_begun = True
+            time.sleep(0.2)
+        return ticks
+
+
 class KeepsItsState:
     """Fails to tell its state, or takes long for it."""
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from cfgplan_runtime import Runtime
+from cfgplan_runtime import ApplyError, Runtime
 from cfgplan_runtime.supervision.events import UnitCutShort, UnitDied, UnitFailed, UnitStopped
 from watching import seen
 from world import RESULT, eventually, unit
@@ -115,7 +116,8 @@ def test_what_waited_at_a_unit_that_is_killed_is_counted(runtime: Runtime, tmp_p
 
 def test_a_unit_that_exits_waits_for_no_thread(runtime: Runtime, tmp_path: Path) -> None:
     failing = worker("FailsBesideAThread", tmp_path, hang_us=0)
-    run(runtime, source("motor", tmp_path), failing)
+    with suppress(ApplyError):  # on a slow machine it dies before the update is over
+        run(runtime, source("motor", tmp_path), failing)
     eventually(lambda: [event.unit for event in seen(runtime, UnitDied)] == ["FailsBesideAThread.1"])
 
 

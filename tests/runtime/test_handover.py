@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import random
-import socket
 from collections.abc import Iterable
 from dataclasses import replace
 from itertools import islice, pairwise
-from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
 
 import msgspec
 import pytest
-from cfgplan_runtime.children.control import ControlConnection
+from cfgplan_runtime import Runtime
 from cfgplan_runtime.children.handover import Handover
-from cfgplan_runtime.children.messages import HoldSteps, TakeState, ToChild
 from cfgplan_runtime.children.ports import Ports
 from cfgplan_runtime.children.steps import Step, StepQueue
-from cfgplan_runtime.children.unit_child import UnitChild
-from cfgplan_runtime.children.unit_order import unit_order
 from cfgplan_runtime.streams.element import BEFORE_ALL, Element, Moment
 from cfgplan_runtime.supervision.events import StateNotExact
 from watching import Listener, StartRuntime, seen
@@ -120,6 +115,13 @@ def next_mode(number: int, **feeds: str) -> ChangeSet:
     return ChangeSet(started=(new,), stopped=(f"{labels[(number - 1) % 2]}.{number - 1}",))
 
 
+def rises(runtime: Runtime, listener: Listener) -> set[tuple[int, ...]]:
+    """By how much the numbers of an element are above those of the one before it, once the run has ended."""
+    runtime.close()
+    listener.join()
+    return {tuple(after - before for before, after in zip(*two, strict=True)) for two in pairwise(listener.values)}
+
+
 def test_elements_that_wait_for_a_partner_wait_in_the_next_unit(run_units: StartRuntime) -> None:
     """Input b has every second number, so that each step leaves one more element at input a."""
     high, low = modes("Pairs", inputs=("a", "b"), run=RunOptions(queue=10_000))
@@ -134,10 +136,7 @@ def test_elements_that_wait_for_a_partner_wait_in_the_next_unit(run_units: Start
     received = len(listener.received)
     eventually(lambda: len(listener.received) > received + 5)
     assert seen(runtime, StateNotExact) == []
-    runtime.close()
-    listener.join()
-    rises = {tuple(after - before for before, after in zip(*two, strict=True)) for two in pairwise(listener.values)}
-    assert rises == {(1, 1, 2)}
+    assert rises(runtime, listener) == {(1, 1, 2)}
 
 
 def test_the_last_element_of_a_quiet_stream_goes_to_the_next_unit(run_units: StartRuntime) -> None:
@@ -152,10 +151,7 @@ def test_the_last_element_of_a_quiet_stream_goes_to_the_next_unit(run_units: Sta
     received = len(listener.received)
     eventually(lambda: len(listener.received) > received + 5)
     assert seen(runtime, StateNotExact) == []
-    runtime.close()
-    listener.join()
-    rises = {tuple(after - before for before, after in zip(*two, strict=True)) for two in pairwise(listener.values)}
-    assert rises <= {(1, 1, 0), (1, 1, 1)}, "no step waited for the next element of b"
+    assert rises(runtime, listener) <= {(1, 1, 0), (1, 1, 1)}, "no step waited for the next element of b"
 
 
 def test_a_chain_of_units_with_states_is_replaced_exactly(run_units: StartRuntime) -> None:
@@ -181,12 +177,14 @@ def test_a_chain_of_units_with_states_is_replaced_exactly(run_units: StartRuntim
     assert {after - before for before, after in pairwise(listener.values)} == {1}
 
 
-def test_a_source_goes_on_where_the_one_before_has_ended(run_units: StartRuntime) -> None:
+@pytest.mark.parametrize("code", ["Clock", "SlowFirst"])
+def test_a_source_goes_on_where_the_one_before_has_ended(run_units: StartRuntime, code: str) -> None:
+    """Also if the new source is at a step when it is told to wait for the state: the result of that step is void."""
     fast, slow = (
         Transformation(
             label,
             outputs=(OutputPort("y", "Y"),),
-            source="running_units.py:Clock",
+            source=f"running_units.py:{code}",
             run=RunOptions(rate_hz=rate_hz, state="clock"),
         )
         for label, rate_hz in (("high", 200.0), ("low", 100.0))
@@ -256,24 +254,3 @@ def test_a_source_that_was_asked_for_its_state_and_stays_gives_again_at_once(mon
     handover.ask_state({})
     handover.stay()
     assert not handover.is_state_due
-
-
-def test_a_unit_that_is_told_to_wait_for_a_state_gives_no_result_of_the_steps_before() -> None:
-    """A source ticks as soon as it is ready. Its result may still be in hand then, on a busy computer."""
-    clock = Transformation(
-        "clock", outputs=(OutputPort("y", "Y"),), source="running_units.py:Clock", run=RunOptions(state=True)
-    )
-    order = msgspec.structs.replace(unit_order("clock.1", clock, None), folder=str(Path(__file__).parent))
-    ours, theirs = socket.socketpair()
-    child = UnitChild(order, ControlConnection(theirs, ToChild))
-    child._tick()
-    child._obey(HoldSteps(), [])
-    child._work()
-    assert child._ports.output_counts()["y"].elements == 0
-    child._obey(TakeState(msgspec.msgpack.encode(41), {}), [])
-    child._tick()
-    child._work()
-    assert child._ports.output_counts()["y"].elements > 0
-    child.close()
-    for end in (ours, theirs):
-        end.close()

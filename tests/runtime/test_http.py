@@ -112,15 +112,20 @@ def test_a_password_goes_to_the_resource_and_not_to_where_it_leads(
         other.close()
 
 
+REFUSED_AT_ONCE: list[tuple[dict[str, Any], str]] = [
+    ({"url": "file:///etc/passwd"}, "is not the URL of a resource"),
+    ({"url": "http://bob:secret@house"}, "a URL can't hold the name"),
+    ({"payload": "yaml"}, "is not a form of payload"),
+    ({"password": "secret"}, "an environment file can't hold a password"),
+    ({"usrname": "bob"}, "did you mean `username`"),
+    ({"password_env": "NO_SUCH"}, "a password without a name"),
+]
+
+
 @pytest.mark.parametrize(
     ("params", "message"),
     [
-        ({"url": "file:///etc/passwd"}, "is not the URL of a resource"),
-        ({"url": "http://bob:secret@house"}, "a URL can't hold the name"),
-        ({"payload": "yaml"}, "is not a form of payload"),
-        ({"password": "secret"}, "an environment file can't hold a password"),
-        ({"usrname": "bob"}, "did you mean `username`"),
-        ({"password_env": "NO_SUCH"}, "a password without a name"),
+        *REFUSED_AT_ONCE,
         ({"token_env": "NO_SUCH"}, "the variable NO_SUCH is not set"),
         ({"ca": "/absent"}, "the authority of TLS can't be read"),
     ],
@@ -129,3 +134,9 @@ def test_parameters_that_can_not_be_meant_are_refused(params: dict[str, Any], me
     with pytest.raises(InputError, match=message) as refused:
         Poller(**{"url": "http://127.0.0.1/x", **params})
     assert "secret" not in str(refused.value)
+
+
+@pytest.mark.parametrize(("params", "message"), REFUSED_AT_ONCE)
+def test_they_are_refused_before_a_run_if_the_machine_does_not_matter(params: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Poller.check_params({"url": "http://127.0.0.1/x", **params})

@@ -441,33 +441,44 @@ def test_a_broker_is_spoken_to_by_tls(tmp_path: Path, hear: Hear, publish: Publi
         assert heard.next() == "safe"
 
 
+REFUSED_AT_ONCE: list[tuple[dict[str, Any], str]] = [
+    ({"broker": "http://house"}, "`http://house` is not the address of a broker"),
+    ({"broker": "house:many"}, "`house:many` is not the address of a broker"),
+    ({"broker": "mqtt://bob:secret@house"}, "address of a broker can't hold"),
+    ({"topic": "a/#/b"}, "is not a topic filter"),
+    ({"topic": "a+/b"}, "is not a topic filter"),
+    ({"topic": ""}, "is not a topic filter"),
+    ({"qos": 3}, "`3` is not a quality of service of MQTT"),
+    ({"payload": "yaml"}, "`yaml` is not a form of payload"),
+    ({"field": []}, r"`\[\]` is not a field"),
+    ({"field": {"a": 1}}, "is not a field"),
+    ({"field": "a", "payload": "number"}, "a message that is a number has no fields"),
+    ({"password": "secret"}, "an environment file can't hold a password"),
+    ({"usrname": "bob"}, "did you mean `username`"),
+    ({"password_env": "NO_SUCH_VARIABLE"}, "a password without a name"),
+    ({"keepalive": -1}, "`-1` can't be a keepalive"),
+]
+
+
 @pytest.mark.parametrize(
     ("params", "message"),
     [
-        ({"broker": "http://house"}, "`http://house` is not the address of a broker"),
-        ({"broker": "house:many"}, "`house:many` is not the address of a broker"),
-        ({"broker": "mqtt://bob:secret@house"}, "address of a broker can't hold"),
-        ({"topic": "a/#/b"}, "is not a topic filter"),
-        ({"topic": "a+/b"}, "is not a topic filter"),
-        ({"topic": ""}, "is not a topic filter"),
-        ({"qos": 3}, "`3` is not a quality of service of MQTT"),
-        ({"payload": "yaml"}, "`yaml` is not a form of payload"),
-        ({"field": []}, r"`\[\]` is not a field"),
-        ({"field": {"a": 1}}, "is not a field"),
-        ({"field": "a", "payload": "number"}, "a message that is a number has no fields"),
-        ({"password": "secret"}, "an environment file can't hold a password"),
-        ({"usrname": "bob"}, "did you mean `username`"),
+        *REFUSED_AT_ONCE,
         ({"username": "bob", "password_env": "NO_SUCH_VARIABLE"}, "the variable NO_SUCH_VARIABLE is not set"),
         ({"username": "bob", "password_file": "/absent"}, "the password can't be read"),
         ({"ca": "/absent"}, "the files of TLS"),
-        ({"password_env": "NO_SUCH_VARIABLE"}, "a password without a name"),
-        ({"keepalive": -1}, "`-1` can't be a keepalive"),
     ],
 )
 def test_parameters_that_can_not_be_meant_are_refused(params: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message) as refused:
         Subscriber(**{"broker": "house", "topic": "x", **params})
     assert "secret" not in str(refused.value)
+
+
+@pytest.mark.parametrize(("params", "message"), REFUSED_AT_ONCE)
+def test_they_are_refused_before_a_run_if_the_machine_does_not_matter(params: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Subscriber.check_params({"broker": "house", "topic": "x", **params})
 
 
 @pytest.mark.parametrize(

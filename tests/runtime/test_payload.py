@@ -80,6 +80,18 @@ def element(time_ns: int, size: int) -> Outgoing:
     return Outgoing(time_ns, 0, [bytes([time_ns % 256]) * size])
 
 
+def until_the_end(sender: Sender, receiver: Receiver) -> list[Element]:
+    """What comes yet once everything is sent and the channel is closed."""
+    got: list[Element] = []
+    while not sender.flush():
+        got += receiver.read()
+    sender.socket.close()
+    while not receiver.has_ended:
+        got += receiver.read()
+    receiver.close()
+    return got
+
+
 @given(st.lists(st.integers(0, 200_000), max_size=8))
 def test_a_channel_gives_what_was_put_in(sizes: list[int]) -> None:
     ends = socket_pair()
@@ -88,12 +100,7 @@ def test_a_channel_gives_what_was_put_in(sizes: list[int]) -> None:
     for number, size in enumerate(sizes):
         sender.offer(element(number, size))
         got += receiver.read()
-    while not sender.flush():
-        got += receiver.read()
-    sender.socket.close()
-    while not receiver.has_ended:
-        got += receiver.read()
-    receiver.close()
+    got += until_the_end(sender, receiver)
     assert [(one.time_ns, one.number, bytes(one.payload)) for one in got] == [
         (number, number, bytes([number]) * size) for number, size in enumerate(sizes)
     ]
@@ -121,13 +128,7 @@ def test_a_full_channel_drops_the_oldest_and_the_numbers_tell() -> None:
     for number in range(40):
         sender.offer(element(number, 400_000))
     assert sender.depth <= 4
-    got: list[Element] = []
-    while not sender.flush():
-        got += receiver.read()
-    sender.socket.close()
-    while not receiver.has_ended:
-        got += receiver.read()
-    receiver.close()
+    got = until_the_end(sender, receiver)
     numbers = [one.number for one in got]
     assert numbers == sorted(numbers)
     assert numbers[-3:] == [37, 38, 39]
@@ -141,13 +142,7 @@ def test_a_channel_that_blocks_keeps_all_and_says_that_it_is_full() -> None:
     while not sender.is_full:
         sender.offer(element(number, 400_000))
         number += 1
-    got: list[Element] = []
-    while not sender.flush():
-        got += receiver.read()
-    sender.socket.close()
-    while not receiver.has_ended:
-        got += receiver.read()
-    receiver.close()
+    got = until_the_end(sender, receiver)
     assert [one.number for one in got] == list(range(number))
 
 
@@ -158,11 +153,5 @@ def test_an_array_that_changes_after_it_was_given_arrives_as_it_was() -> None:
     for number in range(8):
         image[:] = number
         sender.offer(Outgoing(number, 0, PayloadEncoder().encode(image)))
-    got: list[Element] = []
-    while not sender.flush():
-        got += receiver.read()
-    sender.socket.close()
-    while not receiver.has_ended:
-        got += receiver.read()
-    receiver.close()
+    got = until_the_end(sender, receiver)
     assert [set(decode(one.payload).tolist()) for one in got] == [{number} for number in range(8)]

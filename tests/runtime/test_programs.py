@@ -302,7 +302,8 @@ def test_a_program_that_does_not_end_at_its_stop_gets_sigterm_after_half_of_its_
 def test_the_cpu_time_and_memory_of_a_program_are_its_units(run_units: StartRuntime, form: ProgramFormat) -> None:
     runtime = run_units(source(), program(form, "burn"))
     runtime.apply(start(unit("count.1"), unit("work.1", x="count.1/n")))
-    eventually(lambda: process_of(runtime.pid("work.1")).cpu_times().user > 1)
+    hosted = process_of(runtime.pid("work.1"))
+    eventually(lambda: hosted.cpu_times().user > 0.4)
     (work,) = [each for each in runtime.observe() if each.unit == "work.1"]
-    assert work.cpu_us > 1_000_000
-    assert work.memory_bytes > process_of(work.pid).memory_info().rss
+    assert work.cpu_us > 400_000, "that is far more than its own process takes"
+    assert work.memory_bytes > hosted.memory_info().rss

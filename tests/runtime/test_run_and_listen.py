@@ -103,6 +103,10 @@ def test_a_stream_that_is_on_no_topic_is_listened_to_by_its_unit_and_port(env: P
             listening = cfgplan(*asked)
             assert listening.stdout is not None
             assert listening.stdout.readline()
+            assert main(["listen", "/nowhere"]) == 30
+            assert "nothing publishes topic '/nowhere'; there is /result" in capsys.readouterr().err.splitlines()[0]
+            assert main(["listen", "/reslt"]) == 30
+            assert "nothing publishes topic '/reslt'; did you mean `/result`?" in capsys.readouterr().err
         finally:
             running.send_signal(signal.SIGINT)
             running.communicate(timeout=PATIENCE_S)

@@ -90,7 +90,7 @@ class GapClosing:
             if self._is_hopeless and raised_s < near_s:
                 took = self._search_landmarks(most)
                 raised_s += np.inf if took is None else took * clock.tuning.seconds_per_step
-            elif not search.is_exhausted:
+            elif not search.are_in_vain(near.in_vain if self._is_hopeless else near.soon):
                 before_s = search.took_s
                 search.go_on(most)
                 near_s += search.took_s - before_s

@@ -56,10 +56,9 @@ class Neighbourhoods:
         """The work so far, in the engine's seconds."""
         return self._took
 
-    @property
-    def is_exhausted(self) -> bool:
-        """Whether too much work was in vain since the last cheaper plan."""
-        return bool(self._in_vain >= self._tuning.in_vain * self._scale)
+    def are_in_vain(self, work: float) -> bool:
+        """Whether so much work, in the engine's microseconds per label^1.5, has passed since the last cheaper plan."""
+        return bool(self._in_vain >= work * self._scale)
 
     def go_on(self, clock: Clock) -> None:
         """Look for a cheaper plan: first among the labels in use, then each time near other targets."""

@@ -360,7 +360,7 @@ def _candidates(problem: Problem, labels: frozenset[str], clock: Clock) -> Itera
                 not unit.standby,
                 unit.standby,
             )
-    for label, unit_ids in clock.each(fresh_units(environment, _numbers_of_new(problem, labels)).items()):
+    for label, unit_ids in clock.each(fresh_units(environment, _numbers_of_new(problem, labels, clock)).items()):
         transformation = environment.transformation[label]
         places = _places(transformation, environment.places_for(transformation), horizon_s, start_cost_us)
         for unit_id in unit_ids if places else ():
@@ -389,7 +389,7 @@ def _places(
     }
 
 
-def _numbers_of_new(problem: Problem, labels: frozenset[str]) -> dict[str, int]:
+def _numbers_of_new(problem: Problem, labels: frozenset[str], clock: Clock) -> dict[str, int]:
     """The most new units of each transformation.
 
     Where nothing is asked beyond the paper, a new unit beside a running one pays only if it costs no labor, or lets
@@ -400,6 +400,6 @@ def _numbers_of_new(problem: Problem, labels: frozenset[str]) -> dict[str, int]:
     running = () if is_any else {unit.transformation for unit in environment.units}
     return {
         label: problem.most_new(library[label])
-        for label in sorted(labels)
+        for label in clock.each(sorted(labels))
         if label not in running or library[label].labor_us == 0
     }

@@ -8,6 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from cfgplan.planners.bounding.branching import Branching
+from cfgplan.planners.bounding.disjoint import disjoint_bound
 from cfgplan.planners.exact.answer_sets import prove_by_answer_sets
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.remaining import Remaining
@@ -69,6 +70,26 @@ def use_all_required(work: SolveRun) -> bool:
         work.clock.end("bounds")
         work.search().run()
     return True
+
+
+def prove_by_disjoint_parts(work: SolveRun) -> bool:
+    """Add up parts of a plan that share nothing, where inputs are distinct and no landmarks are known yet.
+
+    Where many facts leave a choice, parts mostly share something.
+    """
+    network, core, tuning = work.structure.network, work.structure.network.core, work.clock.tuning.decide
+    if work.memory.has_landmarks or core.takes is None or core.goal > tuning.disjoint or core.choices > tuning.choices:
+        return False
+    weights = LexicographicWeights.with_changes(work.problem, network)
+    if weights is None:
+        return False
+    value, plan = disjoint_bound(core, weights.each, network.pinned, work.clock.each)
+    labels = sorted(plan)
+    if weights.of_plan(labels) > weights.least(value) or not is_plan(network, plan):
+        return False
+    work.take(Remaining(labels, value, is_complete=False), network, weights, labels)
+    work.clock.end("bounds")
+    return work.state.is_over
 
 
 def decide_all(work: SolveRun) -> bool:
@@ -186,6 +207,7 @@ STAGES: Final[tuple[Stage, ...]] = (
     plan_fleet,
     use_all_required,
     prove_by_answer_sets,
+    prove_by_disjoint_parts,
     decide_all,
     raise_bound,
     decide_remaining,

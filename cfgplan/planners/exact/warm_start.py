@@ -69,7 +69,7 @@ class WarmStart:
         others = np.setdiff1d(bound.core.labels, self.plan)
         cheaper = others[cost[others] < self.cost[others]]
         if len(more_expensive) + len(cheaper) > clock.tuning.replan.cases:
-            return Remaining.by(tightened(bound, limit - step + 1, limit, clock), limit)
+            return Remaining.by(_raised(bound, limit - step + 1, limit, clock), limit)
         lefts = [_without(label, bound, limit, clock) for label in more_expensive.tolist()]
         lefts += [_with(label, bound, limit, clock) for label in cheaper.tolist()]
         value = int(cost[self.plan].sum())
@@ -91,10 +91,22 @@ def _charged(bound: Bound, enough: int, limit: int, clock: Clock) -> Bound:
     return bound if bound.value >= enough else tightened(charged(bound, clock), enough, limit, clock)
 
 
+def _raised(bound: Bound, enough: int, limit: int, clock: Clock) -> Bound:
+    """The bound tightened; if many labels are left, its landmarks are then charged in the best way, too.
+
+    A search of many labels takes longer than the linear program.
+    """
+    bound = tightened(bound, enough, limit, clock)
+    keep = bound.may_be_used(limit)
+    if bound.value >= enough or keep.sum() < clock.tuning.replan.many:
+        return bound
+    return tightened(charged(bound.restricted(keep), clock), enough, limit, clock)
+
+
 def _without(label: int, bound: Bound, limit: int, clock: Clock) -> Remaining:
     """The labels that a plan of cost `limit` or less without one label can contain."""
     cost = np.where(bound.core.labels == label, np.maximum(limit + 1, bound.cost), bound.cost)
-    return Remaining.by(tightened(bound.at(cost), limit + 1, limit, clock), limit)
+    return Remaining.by(_raised(bound.at(cost), limit + 1, limit, clock), limit)
 
 
 def _with(label: int, bound: Bound, limit: int, clock: Clock) -> Remaining:
@@ -105,7 +117,7 @@ def _with(label: int, bound: Bound, limit: int, clock: Clock) -> Remaining:
         return Remaining(bound.core.labels[:0], limit + 1)
     for_others = limit - own
     free = bound.at(np.where(is_it, 0, bound.cost))
-    left = Remaining.by(tightened(free, for_others + 1, for_others, clock), for_others)
+    left = Remaining.by(_raised(free, for_others + 1, for_others, clock), for_others)
     return Remaining(np.union1d(left.labels, [label]), left.value + own, left.bound)
 
 

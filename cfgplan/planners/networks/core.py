@@ -190,6 +190,12 @@ class Core:
         """How many offers and needs there are."""
         return len(self.providers.items) + len(self.needs.items)
 
+    @property
+    def choices(self) -> int:
+        """How many facts that are needed have more providers than they take."""
+        leaves_a_choice = np.diff(self.providers.starts) > (1 if self.takes is None else self.takes)
+        return int(leaves_a_choice[np.unique(self.needs.items)].sum())
+
     @cached_property
     def is_deep(self) -> bool:
         """Whether some fact that can be had is behind more than `MOST_PASSES` others."""
@@ -296,24 +302,25 @@ class Core:
         missing = [len(needs[label]) for label in range(self.goal)] + [0]  # the goal gives nothing
         facts: dict[int, Value] = {}
         offers: dict[int, list[Value]] = {fact: [] for fact in takes}
-        ahead: list[tuple[Value, int]] = []
+        ahead: list[tuple[Value, int, bool]] = []  # the flag: whether the value is the fact's, not that of one offer
 
         def settled() -> Iterator[int]:
             while ahead:
-                value, fact = heappop(ahead)
-                if fact in offers:
+                value, fact, is_whole = heappop(ahead)
+                if is_whole:
+                    if fact not in facts:
+                        facts[fact] = value
+                        yield fact
+                elif len(offers[fact]) < takes[fact]:
                     offers[fact].append(value)
                     if len(offers[fact]) == takes[fact]:
-                        heappush(ahead, (join(offers.pop(fact)), fact))
-                elif fact not in facts:
-                    facts[fact] = value
-                    yield fact
+                        heappush(ahead, (join(offers[fact]), fact, True))
 
         sources = [label for label in range(self.goal) if not missing[label]]
         for label in chain(sources, (label for label, _ in derivations(settled(), self.needed_by.lists, missing))):
             cost = join([facts[fact] for fact in needs[label]] or [price[label] * 0]) + price[label]
             for fact in gives[label]:
-                heappush(ahead, (cost, fact))
+                heappush(ahead, (cost, fact, fact not in takes))
         return facts
 
     def restricted(self, keep: Flags) -> Core:

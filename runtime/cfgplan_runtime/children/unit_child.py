@@ -196,8 +196,8 @@ class UnitChild:
                 self._set_state(state)
                 self._begun = unit
             case messages.HoldSteps():
-                self._results = None  # those of a step before the state
                 self._handover.hold()
+                self._results = None  # a source may be at a step, whose result is of the state before the hand-over
             case messages.TellPlaces(begun):
                 self._handover.ask_places(begun)
             case messages.TellState(until):

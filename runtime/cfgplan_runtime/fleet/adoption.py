@@ -24,8 +24,9 @@ from cfgplan_runtime.fleet.orders import (
 )
 from cfgplan_runtime.fleet.routes import Crossing, OrderTo, Route, Routes
 from cfgplan_runtime.processes.process_backend import RELAY
+from cfgplan_runtime.streams.topic_names import is_tap
 from cfgplan_runtime.supervision import events
-from cfgplan_runtime.supervision.backend import Found, FoundWire, StoppingUnit, is_tap
+from cfgplan_runtime.supervision.backend import Found, FoundWire, StoppingUnit
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,6 +21,7 @@ from cfgplan_runtime.fleet.tunnels import CONTROL, TunnelClient
 from cfgplan_runtime.fleet.ways import alive_key, host_of
 from cfgplan_runtime.streams.closable import Closable
 from cfgplan_runtime.streams.subscription import SubscriptionToTopic
+from cfgplan_runtime.streams.topic_names import not_published
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 
 _REACH_S = 5.0
@@ -173,8 +174,7 @@ def _why_not(topic: str, found: Sequence[tuple[str, str]], told: Mapping[str, To
     """Why a topic can't be had that was `found` there, or nowhere."""
     if found:
         return f"topic {topic!r} is on {', '.join(host for _, host in found)}, which can't be connected to"
-    there = ", ".join(sorted({name for of in told.values() for name in of.topics}))
-    return f"nothing publishes topic {topic!r}; there is {there or 'no topic at all'}"
+    return not_published(topic, (name for of in told.values() for name in of.topics))
 
 
 @dataclass(slots=True)

@@ -17,8 +17,9 @@ from cfgplan_runtime.nodes.relay_messages import CloseInlets, Lead, Observe, Pas
 from cfgplan_runtime.nodes.shown_taps import ShownTaps
 from cfgplan_runtime.streams.ends import Ends
 from cfgplan_runtime.streams.run_folder import RunFolder
+from cfgplan_runtime.streams.topic_names import is_tap
 from cfgplan_runtime.supervision import events
-from cfgplan_runtime.supervision.backend import Inlet, is_tap
+from cfgplan_runtime.supervision.backend import Inlet
 from cfgplan_runtime.supervision.delays import doubling_s
 
 ENVIRONMENT_FILE = "the environment file"

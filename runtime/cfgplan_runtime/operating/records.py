@@ -39,6 +39,7 @@ def snapshot_record(snapshot: reports.Snapshot, flows: Mapping[str, Record] | No
         "pending": [plain(perturbation) for perturbation in snapshot.pending],
         "reviews": [review_record(review) for review in snapshot.reviews],
         "backing_off": [plain(backing_off) for backing_off in snapshot.backing_off],
+        "hosts": [host.name for host in snapshot.environment.hosts],
         "lost_hosts": list(snapshot.lost_hosts),
         "facts": {fact.key: value_text(fact.value) for fact in snapshot.facts},
         "facts_heard_s": {name: round(ago_s, 3) for name, ago_s in snapshot.facts_heard_s.items()},

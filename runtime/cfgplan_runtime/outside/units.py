@@ -9,7 +9,7 @@ from typing import Any, Final
 from cfgplan.errors import InputError
 from cfgplan_runtime.errors import WrongPortsError
 from cfgplan_runtime.outside.credentials import check_names
-from cfgplan_runtime.outside.payload_forms import check_form
+from cfgplan_runtime.outside.payload_forms import PayloadReader
 
 ORDERS_LOOK_S: Final = 0.05
 """A source that gets no messages looks for orders so often."""
@@ -33,13 +33,11 @@ def only_value(inputs: Mapping[str, object]) -> object:
     return value
 
 
-def check_call(
-    kind: Callable[..., Any], protocol: str, connection: Iterable[str], params: Mapping[str, object]
-) -> None:
+def check_call(kind: Callable[..., Any], protocol: str, connection: Iterable[str], params: Mapping[str, Any]) -> None:
     """Raise InputError if params are unknown to a class of unit code, missing, or have a wrong value.
 
-    Params of type `str` must be texts, and `payload` a known form. `connection` are the names of the params that the
-    class passes on to its connection.
+    Params of type `str` must be texts, `payload` a known form, and `field` a field of messages in it. `connection` are
+    the names of the params that the class passes on to its connection.
     """
     own = [one for one in inspect.signature(kind).parameters.values() if one.kind is not one.VAR_KEYWORD]
     check_names(protocol, [*(one.name for one in own), *connection], params)
@@ -49,5 +47,4 @@ def check_call(
     for one in own:
         if one.annotation == "str" and not isinstance(text := params.get(one.name, ""), str):
             raise InputError.of(f"`{one.name}` must be a text, but is {text!r}", mend="put quotes around it")
-    if "payload" in params:
-        check_form(str(params["payload"]))
+    PayloadReader(str(params.get("payload", "json")), params.get("field"), say)

@@ -1,6 +1,6 @@
 // Targets, units and hosts in rows that are made once: afterwards only their texts and lines change.
 import { attribute, byId, button, made, put } from "./dom.js";
-import { bytes, percent, rate, span, three } from "./figures.js";
+import { bytes, counted, percent, rate, span, three } from "./figures.js";
 import { draw, qualityKey, spark } from "./history.js";
 import { suppose } from "./what_if.js";
 
@@ -97,14 +97,15 @@ function quality(parts, one) {
   draw(parts["quality line"], qualityKey(one));
 }
 export function hosts(state, token) {
-  const names = [...new Set([...state.units.map((unit) => unit.host), ...state.lost_hosts])].filter(Boolean).sort();
+  const names = [...new Set([...state.hosts, ...state.units.map((unit) => unit.host), ...state.lost_hosts])].filter(Boolean).sort();
   byId("hosts").hidden = !names.length;
-  const key = JSON.stringify([names, state.lost_hosts]), list = byId("hosts").querySelector("ul");
+  const units = names.map((host) => state.units.filter((unit) => unit.host === host).length);
+  const key = JSON.stringify([names, units, state.lost_hosts]), list = byId("hosts").querySelector("ul");
   if (list.dataset.key === key) return;
   list.dataset.key = key;
-  list.replaceChildren(...names.map((host) => {
+  list.replaceChildren(...names.map((host, at) => {
     const isLost = state.lost_hosts.includes(host), row = made("li", "", isLost ? "wrong" : "");
-    row.append(made("span", isLost ? `${host} (gone)` : host));
+    row.append(made("span", `${host} · ${isLost ? "gone" : counted(units[at], "unit")}`));
     if (token) row.append(button(isLost ? "What if it is used again?" : "What if it is lost?", () => suppose(isLost ? "regain_host" : "lose_host", { host }, isLost ? `with ${host} again` : `without ${host}`)));
     return row;
   }));

@@ -26,6 +26,7 @@ from cfgplan_runtime.streams.run_folder import (
     no_such_run,
     topics_of,
 )
+from cfgplan_runtime.streams.topic_names import not_published
 
 _RETRY_S = 0.02
 
@@ -202,5 +203,4 @@ def _why_not(topic: str, run: str | None, found: list[Path]) -> str:
     meant = _live(run)
     if not meant:
         return no_such_run(run, live, ", ".join(map(id_and_name, live)))
-    there = sorted({name for path in meant for name in topics_of(path)})
-    return f"nothing publishes topic {topic!r}; there is {', '.join(there) or 'no topic at all'}"
+    return not_published(topic, (name for path in meant for name in topics_of(path)))

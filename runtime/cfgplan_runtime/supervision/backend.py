@@ -11,10 +11,8 @@ from cfgplan_runtime.children.messages import GivenInput
 from cfgplan_runtime.children.unit_order import order_digest
 from cfgplan_runtime.streams.element import Moment
 from cfgplan_runtime.streams.inlet import port_of
+from cfgplan_runtime.streams.topic_names import is_tap
 from cfgplan_runtime.supervision.events import Event
-
-TAPS = "/cfgplan/taps/"
-"""The beginning of the topic of each tap, which shows a stream to observers; the stream follows."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -43,11 +41,6 @@ class Inlet:
 
     def __str__(self) -> str:
         return self.port if self.is_outlet else f"{self.unit}/{self.port}"
-
-
-def is_tap(topic: str) -> bool:
-    """Whether a topic is that of a tap."""
-    return topic.startswith(TAPS)
 
 
 @dataclass(frozen=True, slots=True)

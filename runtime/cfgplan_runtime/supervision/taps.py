@@ -6,7 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from cfgplan.domain import Stream
-from cfgplan_runtime.supervision.backend import TAPS, Backend, Inlet
+from cfgplan_runtime.streams.topic_names import TAPS
+from cfgplan_runtime.supervision.backend import Backend, Inlet
 from cfgplan_runtime.supervision.wiring import OUTLET_QUEUE
 
 

@@ -48,10 +48,7 @@ class ZenohUnitSession:
         key: str | None = None,
     ) -> None:
         needed("Zenoh units", "zenoh")
-        self._connect, self._listen = _endpoints(connect), _endpoints(listen)
-        if not (self._connect or self._listen):
-            mend = "write `connect: tcp/HOST:7447` for a router or peer, or `listen`"
-            raise InputError.of("a Zenoh session needs an endpoint", mend=mend)
+        self._connect, self._listen = _ways(connect, listen)
         self._say = say
         self._config = _config(self._connect, self._listen)
         if username is not None:
@@ -154,6 +151,11 @@ def check_parameters(session: Mapping[str, Any]) -> None:
     check_names("Zenoh", parameters(), session)
 
 
+def check_endpoints(params: Mapping[str, Any]) -> None:
+    """Raise InputError if `connect` and `listen` name no endpoint, or one that Zenoh does not know."""
+    _ways(params.get("connect"), params.get("listen"))
+
+
 def parameters() -> list[str]:
     """Return the names of a session's parameters."""
     return list(inspect.signature(ZenohUnitSession).parameters)[1:]
@@ -178,6 +180,15 @@ def plain(error: Exception) -> str:
     with suppress(ValueError):
         return str(error)[: str(error).index(" at /")]
     return str(error).strip().partition("\n")[0].rstrip(".")
+
+
+def _ways(connect: str | list[str] | None, listen: str | list[str] | None) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The endpoints to connect to and to listen at. Raises InputError if there is none."""
+    found = _endpoints(connect), _endpoints(listen)
+    if not any(found):
+        mend = "write `connect: tcp/HOST:7447` for a router or peer, or `listen`"
+        raise InputError.of("a Zenoh session needs an endpoint", mend=mend)
+    return found
 
 
 def _endpoints(said: str | list[str] | None) -> tuple[str, ...]:

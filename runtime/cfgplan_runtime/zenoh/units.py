@@ -6,12 +6,19 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 from cfgplan.errors import InputError
-from cfgplan.extras import needed
+from cfgplan.extras import is_there, needed
 from cfgplan_runtime.outside.mailbox import Mailbox
 from cfgplan_runtime.outside.once import Once
 from cfgplan_runtime.outside.payload_forms import PayloadForm, PayloadReader, check_form, encoded
 from cfgplan_runtime.outside.units import ORDERS_LOOK_S, check_call, only_value, say
-from cfgplan_runtime.zenoh.session import FIRST_S, ZenohUnitSession, check_parameters, key_expression, parameters
+from cfgplan_runtime.zenoh.session import (
+    FIRST_S,
+    ZenohUnitSession,
+    check_endpoints,
+    check_parameters,
+    key_expression,
+    parameters,
+)
 
 if TYPE_CHECKING:
     import zenoh
@@ -46,7 +53,7 @@ class Subscriber:
     @classmethod
     def check_params(cls, params: Mapping[str, Any]) -> None:
         """Raise InputError for params with which no unit can be constructed. Opens no session."""
-        check_call(cls, "Zenoh", parameters(), params)
+        _check_params(cls, params, is_plain=False)
 
     def __iter__(self) -> Iterator[Any]:
         import zenoh
@@ -97,8 +104,7 @@ class Publisher:
 
         check_parameters(session)
         check_form(payload)
-        if when_full not in get_args(WhenFull):
-            raise InputError.of(f"`when_full` can't be `{when_full}`", mend="write drop or block")
+        _check_when_full(when_full)
         self._payload = payload
         self._key_expr = key_expression(key_expr, is_plain=True)
         self._session = ZenohUnitSession(say, **session)
@@ -113,7 +119,8 @@ class Publisher:
     @classmethod
     def check_params(cls, params: Mapping[str, Any]) -> None:
         """Raise InputError for params with which no unit can be constructed. Opens no session."""
-        check_call(cls, "Zenoh", parameters(), params)
+        _check_params(cls, params, is_plain=True)
+        _check_when_full(params.get("when_full", "drop"))
 
     def __call__(self, **inputs: object) -> None:
         payload = encoded(only_value(inputs), self._payload)
@@ -127,3 +134,16 @@ class Publisher:
     def close(self) -> None:
         """End the session once everything that was put has left."""
         self._session.close()
+
+
+def _check_params(kind: type[Subscriber | Publisher], params: Mapping[str, Any], *, is_plain: bool) -> None:
+    check_call(kind, "Zenoh", parameters(), params)
+    check_endpoints(params)
+    if is_there("zenoh"):  # the key is checked where the unit runs, too
+        key_expression(params["key_expr"], is_plain=is_plain)
+
+
+def _check_when_full(when_full: object) -> None:
+    """Raise InputError."""
+    if when_full not in get_args(WhenFull):
+        raise InputError.of(f"`when_full` can't be `{when_full}`", mend="write drop or block")

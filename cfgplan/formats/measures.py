@@ -1,0 +1,47 @@
+"""Numbers that people write with a unit of measurement, in the one unit that their key has."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from decimal import Decimal
+from typing import Final
+
+_NUMBER: Final = r"(\d{1,12}(?:\.\d{1,12})?) ?"
+_PREFIXES: Final = " kmgt"
+"""Each stands for a thousand times the one before."""
+
+
+@dataclass(frozen=True)
+class Measure:
+    """The unit of a key's numbers, in words, with a usual number, and other units: pattern to worth in this unit."""
+
+    unit: str
+    usual: str
+    others: Mapping[str, Decimal]
+
+    def number(self, text: str) -> Decimal | None:
+        """The number in this unit that a text like `5 Mbit/s` means; None if it means none."""
+        for pattern, worth in self.others.items():
+            found = re.fullmatch(rf"{_NUMBER}([kKmMgGtT]?)(i?)(?:{pattern})", text.strip())
+            if found is not None and not text.strip().endswith(found[1]):
+                thousand = Decimal(1024 if found[3] else 1000)
+                power = _PREFIXES.index(found[2].casefold() or " ")
+                return Decimal(found[1]) * thousand**power * worth
+        return None
+
+
+_BYTES: Final = "(?:[bB]|[bB]ytes?)?"
+MEASURES: Final[Mapping[str, Measure]] = {
+    "bandwidth": Measure(
+        "bytes per second",
+        "1000000",
+        {"B/s|Bps|[bB]ytes?/s": Decimal(1), "b/s|bps|[bB]its?/s|[bB]its?": Decimal("0.125")},
+    ),
+    "energy": Measure("watt seconds", "36000", {"Wh": Decimal(3600), "Ws|J": Decimal(1)}),
+    "memory": Measure("megabytes", "200", {_BYTES: Decimal("0.000001")}),
+    "rate": Measure("elements per second", "10", {"[hH][zZ]": Decimal(1)}),
+    "size": Measure("bytes", "1000", {_BYTES: Decimal(1)}),
+}
+"""The measure of each key whose numbers people write with a unit, apart from times and shares of a core."""

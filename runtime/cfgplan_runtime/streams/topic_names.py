@@ -1,0 +1,24 @@
+"""Topics by name: those of taps, and the answer for a topic that nobody publishes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Final
+
+from cfgplan.errors import did_you_mean
+from cfgplan.summary import some
+
+TAPS: Final = "/cfgplan/taps/"
+"""The prefix of the topics of taps; the tapped stream follows."""
+
+
+def is_tap(topic: str) -> bool:
+    """Whether a topic is that of a tap."""
+    return topic.startswith(TAPS)
+
+
+def not_published(topic: str, published: Iterable[str]) -> str:
+    """Return the message for a topic that is not among the published ones, which are named without those of taps."""
+    there = sorted({name for name in published if not is_tap(name)})
+    known = f"there is {some(there) if there else 'no topic at all'}"
+    return f"nothing publishes topic {topic!r}; {did_you_mean(topic, there, known)}"
