@@ -790,7 +790,7 @@ LIFECYCLE = _room(
         "transition.state.situation.without(*gone)), failed",
         "transition.state.situation), failed",
     ),
-    ("a killed unit is blamed", "intake.py", "lived_s = None if is_killed or", "lived_s = None if"),
+    ("a killed unit is blamed", "intake.py", "is_blameless = is_killed or", "is_blameless ="),
     (
         "what a unit has done counts for the next of its id",
         "intake.py",

@@ -24,7 +24,8 @@ from cfgplan_runtime.fleet.orders import (
     StopOrder,
 )
 from cfgplan_runtime.processes.process_backend import RELAY
-from cfgplan_runtime.supervision.backend import TAPS, Backend, FoundWire, Inlet, StoppingUnit
+from cfgplan_runtime.streams.topic_names import TAPS
+from cfgplan_runtime.supervision.backend import Backend, FoundWire, Inlet, StoppingUnit
 from cfgplan_runtime.supervision.wiring import Wiring
 from small_fleet import cold, source, unit, worker
 
