@@ -326,8 +326,8 @@ class Supervisor:
         return [*(events.UnitFound(unit, now - since_s) for unit, since_s in self._found_s.items()), *failures]
 
     def remember(self, label: str, host: str | None, failures: Failures | None) -> None:
-        """Keep the failures of a transformation on a host for the next manager, here and in the backend; None: forget
-        them.
+        """Keep the `failures` of the transformation `label` on a `host` for the next manager, here and in the backend;
+        None: forget them.
         """
         if host is not None and failures is not None:
             kept = events.FailuresKept(label, host, failures.number, failures.left_s, failures.cause, failures.digest)
