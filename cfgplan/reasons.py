@@ -160,20 +160,37 @@ def distinct_groups(transformation: Transformation) -> list[list[InputPort]]:
 
 
 def assign_different(choices: Mapping[str, Collection[str]]) -> dict[str, str] | None:
-    """A feeder of its own for each port out of the port's `choices`, or None (Kuhn's matching)."""
+    """A feeder of its own for each port out of the port's `choices`, or None (Kuhn's matching).
+
+    The ports that have to change on the way to a free feeder are kept in lists, since there may be a thousand.
+    """
     port_of: dict[str, str] = {}
-
-    def assign(port: str, tried: set[str]) -> bool:
-        for label in choices[port]:
-            if label not in tried:
-                tried.add(label)
-                if label not in port_of or assign(port_of[label], tried):
-                    port_of[label] = port
-                    return True
-        return False
-
-    if not all(assign(port, set()) for port in choices):
-        return None
+    for port in choices:
+        first = next(iter(choices[port]), None)
+        if first is not None and first not in port_of:
+            port_of[first] = port
+            continue
+        tried: set[str] = set()
+        ports, ahead, labels = [port], [iter(choices[port])], list[str]()
+        while ports:
+            for label in ahead[-1]:
+                if label not in tried:
+                    break
+            else:
+                ports.pop()
+                ahead.pop()
+                if labels:
+                    labels.pop()
+                continue
+            tried.add(label)
+            labels.append(label)
+            if label not in port_of:
+                port_of.update(zip(labels, ports, strict=True))
+                break
+            ports.append(port_of[label])
+            ahead.append(iter(choices[ports[-1]]))
+        else:
+            return None
     return {port: label for label, port in port_of.items()}
 
 

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import networkx as nx
+from hypothesis import given
+from hypothesis import strategies as st
+
 from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.planning import Problem
-from cfgplan.reasons import Providers, startable, unmet_reasons
+from cfgplan.reasons import Providers, assign_different, startable, unmet_reasons
+from cfgplan.validity.startable import different_choices_exist
 
 
 def make(label: str, needs: str, gives: str, distinct: str | None = None) -> Transformation:
@@ -82,3 +87,26 @@ def test_fusions_that_rest_on_each_other_are_started_when_both_feeders_of_one_ar
     environment = Environment(library=library)
     providers = Providers(environment.library, Similarity({tag: frozenset(tag) for tag in "ABCDE"}))
     assert startable(environment, providers) == {"one", "two", "near", "relay", "far"}
+
+
+@given(st.dictionaries(st.sampled_from("pqrstu"), st.lists(st.sampled_from("abcdef"), unique=True)))
+def test_feeders_are_assigned_where_a_matching_covers_all_ports(choices: dict[str, list[str]]) -> None:
+    edges = [(port, label) for port, labels in choices.items() for label in labels]
+    graph = nx.Graph(edges)
+    graph.add_nodes_from(choices)
+    covered = nx.bipartite.hopcroft_karp_matching(graph, top_nodes=choices)
+    found = assign_different(choices)
+    assert (found is not None) == all(port in covered for port in choices)
+    assert different_choices_exist({port: set(labels) for port, labels in choices.items()}) == (found is not None)
+    if found is not None:
+        assert len(set(found.values())) == len(found)
+        assert all(found[port] in labels for port, labels in choices.items())
+
+
+def test_thousands_of_inputs_may_have_to_be_fed_anew() -> None:
+    number = 5_000
+    choices = {f"p{n}": [f"f{n}", f"f{n + 1}"] for n in range(number)}
+    choices["last"] = ["f0"]
+    expected = {"last": "f0", **{f"p{n}": f"f{n + 1}" for n in range(number)}}
+    assert assign_different(choices) == expected
+    assert different_choices_exist({port: set(labels) for port, labels in choices.items()})

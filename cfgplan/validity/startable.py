@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import defaultdict, deque
 from collections.abc import Mapping
 
 from cfgplan.domain import Environment, InputPort, Similarity, Transformation
@@ -91,15 +91,25 @@ def providers_by_tag(environment: Environment, similarity: Similarity) -> dict[s
 
 
 def different_choices_exist(choices: Mapping[str, set[str]]) -> bool:
-    """Whether each port can have a feeder of its own (a matching, by augmenting paths)."""
+    """Whether each port can have a feeder of its own (a matching, by shortest augmenting paths)."""
+    feeder_of: dict[str, str] = {}
     port_of: dict[str, str] = {}
-
-    def assign(port: str, tried: set[str]) -> bool:
-        for feeder in choices[port] - tried:
-            tried.add(feeder)
-            if feeder not in port_of or assign(port_of[feeder], tried):
-                port_of[feeder] = port
-                return True
-        return False
-
-    return all(assign(port, set()) for port in choices)
+    for port in choices:
+        reached_from: dict[str, str] = {}
+        free = None
+        ahead = deque([port])
+        while ahead and free is None:
+            one = ahead.popleft()
+            for feeder in choices[one] - reached_from.keys():
+                reached_from[feeder] = one
+                if feeder not in port_of:
+                    free = feeder
+                    break
+                ahead.append(port_of[feeder])
+        if free is None:
+            return False
+        while free is not None:
+            one = reached_from[free]
+            port_of[free] = one
+            feeder_of[one], free = free, feeder_of.get(one)
+    return True

@@ -152,6 +152,8 @@ class Grounded:
         all_of, index_of = self.candidates.all, self.candidates.index_of
         running = all_of[unit].running
         for group in distinct_groups(all_of[unit].transformation):
+            if sum(len(self.streams.get(tag, ())) for tag in {port.tag for port in group}) < len(group):
+                return False  # it is tried after each stream
             first: dict[str, dict[str, Stream]] = {}
             for port in group:
                 first[port.name] = {}

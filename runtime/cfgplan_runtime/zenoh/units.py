@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 from cfgplan.errors import InputError
-from cfgplan.extras import is_there, needed
+from cfgplan.extras import needed
 from cfgplan_runtime.outside.mailbox import Mailbox
 from cfgplan_runtime.outside.once import Once
 from cfgplan_runtime.outside.payload_forms import PayloadForm, PayloadReader, check_form, encoded
@@ -139,8 +139,7 @@ class Publisher:
 def _check_params(kind: type[Subscriber | Publisher], params: Mapping[str, Any], *, is_plain: bool) -> None:
     check_call(kind, "Zenoh", parameters(), params)
     check_endpoints(params)
-    if is_there("zenoh"):  # the key is checked where the unit runs, too
-        key_expression(params["key_expr"], is_plain=is_plain)
+    key_expression(params["key_expr"], is_plain=is_plain)
 
 
 def _check_when_full(when_full: object) -> None:
