@@ -173,7 +173,7 @@ class RunPicture:
 
 
 def _idle_hosts(state: Mapping[str, Any]) -> list[str]:
-    """Return the hosts that are there, and have no unit."""
+    """Return the hosts that are not lost and have no unit."""
     taken = {unit["host"] for unit in state["units"]}
     return [host for host in state["hosts"] if host not in taken and host not in state["lost_hosts"]]
 

@@ -192,7 +192,7 @@ class Core:
 
     @property
     def choices(self) -> int:
-        """How many facts that are needed have more providers than they take."""
+        """The number of needed facts that have more providers than they take."""
         leaves_a_choice = np.diff(self.providers.starts) > (1 if self.takes is None else self.takes)
         return int(leaves_a_choice[np.unique(self.needs.items)].sum())
 
@@ -302,7 +302,7 @@ class Core:
         missing = [len(needs[label]) for label in range(self.goal)] + [0]  # the goal gives nothing
         facts: dict[int, Value] = {}
         offers: dict[int, list[Value]] = {fact: [] for fact in takes}
-        ahead: list[tuple[Value, int, bool]] = []  # the flag: whether the value is the fact's, not that of one offer
+        ahead: list[tuple[Value, int, bool]] = []  # the flag: True if it is the fact's value, False for one offer
 
         def settled() -> Iterator[int]:
             while ahead:
