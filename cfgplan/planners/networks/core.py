@@ -194,7 +194,9 @@ class Core:
     def choices(self) -> int:
         """The number of needed facts that have more providers than they take."""
         leaves_a_choice = np.diff(self.providers.starts) > (1 if self.takes is None else self.takes)
-        return int(leaves_a_choice[np.unique(self.needs.items)].sum())
+        is_needed = np.zeros(len(self.providers), bool)  # np.unique would import numpy.ma
+        is_needed[self.needs.items] = True
+        return int((leaves_a_choice & is_needed).sum())
 
     @cached_property
     def is_deep(self) -> bool:
