@@ -503,7 +503,7 @@ class Environment:
     def with_facts(self, values: Mapping[str, FactValue]) -> Environment:
         """Return the environment in which facts have other values, by key; values of another kind are ignored.
 
-        Qualities that follow a fact get the values that follow from it. An environment without facts stays as it is.
+        Qualities that follow a fact get the values that follow from it. An environment without facts is returned as is.
         """
         if not self.facts:
             return self

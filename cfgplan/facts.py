@@ -30,8 +30,8 @@ FactValue: TypeAlias = bool | int | str
 """True or false, a number in millionths, or a word."""
 
 LARGEST_FACT: Final = 10**12 * MICRO
-"""The largest number that a fact may be, in millionths: pascals and seconds since 1970 are far below, and it has 64
-bits.
+"""The largest number of a fact, in millionths. Pressures in pascals and seconds since 1970 are far below it, and it
+fits into 64 bits.
 """
 HOST_MARK: Final = "{host}"
 """It stands for the name of a host in the tag and the topic that observe a fact of hosts."""
@@ -42,7 +42,7 @@ _SIGNS: Final[Mapping[str, Callable[[int, int], bool]]] = MappingProxyType(
 )
 """The comparisons of numbers alone."""
 _NO_SIGNS: Final = frozenset("=!≥≤≠")
-"""The first letters of comparisons in other languages."""
+"""The first characters of comparisons in other languages."""
 
 
 def value_text(value: FactValue) -> str:

@@ -1,4 +1,4 @@
-"""The process of a run that plans once, however short that was: for tests that look at no times."""
+"""The process of a run that plans only once, even if that took little time: for tests that check no times."""
 
 from contextlib import suppress
 

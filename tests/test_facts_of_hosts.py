@@ -197,7 +197,7 @@ def test_an_environment_made_in_python_has_facts_of_hosts() -> None:
     assert environment.barred == {"t": {"b": "needs not hot, hot is true on b"}}
 
 
-def test_a_fact_of_the_world_has_not_the_name_of_a_fact_of_one_host(fleet: Path) -> None:
+def test_a_fact_of_the_world_named_like_a_fact_of_one_host_is_refused(fleet: Path) -> None:
     fleet.write_text(FLEET.replace("  night:", "  r1.battery: {declared: 3}\n  night:"), encoding="utf-8")
     with pytest.raises(InputError) as refused:
         api.load(fleet)

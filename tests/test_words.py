@@ -454,7 +454,7 @@ def test_a_picture_shows_the_word(word: Word, tmp_path: Path) -> None:
 
 @cache
 def never_drawn() -> set[Callable[[Environment], bool]]:
-    """What makes words drawn, of those that no example of the oracle's generators has."""
+    """The `drawn` conditions of words that no example of the oracle's generators meets."""
     missing = {word.drawn for word in WORDS.values() if word.drawn is not None}
 
     def are_all_drawn(problem: Problem) -> bool:

@@ -1,10 +1,10 @@
 """`cfgplan` as a fork of a process that has imported it: a command without the CPU time of its imports.
 
-`warm_cfgplan.py serve SOCKET` imports the product and waits; with the name of a module it imports that, and its
-commands are the module's `main`. `warm_cfgplan.py SOCKET ARGUMENT...` runs a command: the fork has the streams,
-environment and folder of its caller. The caller passes signals on to the fork, ends with its exit code or by its
-signal, and takes it along when killed. The fork is no child of its caller: tests of process ids, limits and starts run
-`cfgplan` directly.
+`warm_cfgplan.py serve SOCKET` imports the product and waits. With the name of a module, it imports that instead,
+and its commands call the module's `main`. `warm_cfgplan.py SOCKET ARGUMENT...` runs a command: the fork has the
+streams, environment and folder of its caller. The caller passes signals on to the fork, ends with its exit code or by
+its signal, and takes it along when killed. The fork is no child of its caller: tests of process ids, limits and starts
+run `cfgplan` directly.
 """
 
 from __future__ import annotations

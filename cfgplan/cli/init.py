@@ -56,7 +56,7 @@ TEMPLATES: Mapping[str, _Template] = MappingProxyType(
             (
                 "cfgplan solve ENV",
                 "cfgplan run ENV --local  (extra `fleet`) and in another terminal: cfgplan listen /map",
-                "cfgplan ctl lose-host r1",
+                "cfgplan ctl kill merger.1",
                 "cfgplan help hosts",
             ),
         ),

@@ -1,4 +1,4 @@
-"""What a run checks before it plans: names and places, unit code, and nodes and topics of ROS."""
+"""The checks of a run before it plans: names and places, unit code, and nodes and topics of ROS."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def check_places(options: argparse.Namespace) -> None:
 
 
 def check_can_start(options: argparse.Namespace, world: World) -> None:
-    """Raise InputError where no transformation of the library could be started."""
+    """Raise InputError if no transformation of the library could be started."""
     library = world.environment.library
     if not (world.environment.targets and library):
         return
@@ -127,11 +127,11 @@ def check_ros2_topics(options: argparse.Namespace, world: World) -> None:
     raise_all(checks, options.env)
     from cfgplan_runtime.ros2.ros_python import VARIABLE, ros_python
 
-    os.environ[VARIABLE] = ros_python(options.ros_python).program  # for units too, which then need not look for it
+    os.environ[VARIABLE] = ros_python(options.ros_python).program  # units use it, too, and need not look for it
 
 
 def raise_all(checks: list[Callable[[], object]], file: str) -> None:
-    """Raise InputError with all the faults that checks raise, those without a file in this one."""
+    """Raise InputError with the faults of all checks. Faults without a file get this `file`."""
     faults = list[Fault]()
     for check in checks:
         try:

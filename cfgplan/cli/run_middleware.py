@@ -59,9 +59,9 @@ def facts_of_ros(options: argparse.Namespace, operation: Operation) -> Iterator[
 
 
 def _reader(options: argparse.Namespace, purpose: str, mend: str, operation: Operation) -> TopicReader:
-    """The reader of topics of the ROS whose nodes run, of ROS 2 where no nodes do. Raises InputError.
+    """Return the reader of topics of the ROS whose nodes run, of ROS 2 if no nodes run. Raises InputError.
 
-    ROS 1 tells only a reader that a topic is of another type; it says `mend` then.
+    In ROS 1, only reading a topic shows that it has another type; the reader then reports it with this `mend`.
     """
     if options.middleware == ROS1:
         from cfgplan_runtime.ros1.topic_reader import Ros1Reader
@@ -83,7 +83,7 @@ def source_check_of(options: argparse.Namespace) -> SourceCheck | None:
 
 
 def ros_unit_of(options: argparse.Namespace) -> ModuleType:
-    """The module that knows nodes of the ROS that is asked for."""
+    """Return the module for nodes of the ROS that the options name."""
     from importlib import import_module
 
     return import_module(f"cfgplan_runtime.{'ros1.ros_unit' if options.middleware == ROS1 else 'ros2.ros2_unit'}")

@@ -68,7 +68,7 @@ def state_text(run: str, environment: str, pid: int, state: Mapping[str, Any]) -
 def observed_text(state: Mapping[str, Any]) -> RenderableType:
     """The facts of a run, and a row for each output whose quality was learned from streams."""
     if not (state["facts"] or state["qualities"]):
-        return Text("No fact is declared, and no output reports its quality (`observe:`).")
+        return Text("No fact is declared, and no quality was observed yet (`observe:`).")
     parts: list[RenderableType] = [Text(f"Facts: {', '.join(_facts(state))}.")] if state["facts"] else []
     if state["qualities"]:
         where = ["host"] if any("host" in one for one in state["qualities"]) else []
@@ -173,7 +173,7 @@ class RunPicture:
 
 
 def _idle_hosts(state: Mapping[str, Any]) -> list[str]:
-    """Return the hosts that are there, and have no unit."""
+    """Return the hosts that are not lost and have no unit."""
     taken = {unit["host"] for unit in state["units"]}
     return [host for host in state["hosts"] if host not in taken and host not in state["lost_hosts"]]
 

@@ -42,7 +42,7 @@ MOST_POINTS = 40
 MOST_SAID = 4000
 """Number of characters kept of the output of a crashed process."""
 CHILD = (sys.executable, "-m", "cfgplan.comparing.child")
-"""The command of the process of a run."""
+"""The command that starts the process of a run."""
 
 
 @dataclass(frozen=True)

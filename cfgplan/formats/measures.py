@@ -1,4 +1,4 @@
-"""Numbers that people write with a unit of measurement, in the one unit that their key has."""
+"""Convert numbers that people write with a unit of measurement to the one unit of their key."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from typing import Final
 
 _NUMBER: Final = r"(\d{1,12}(?:\.\d{1,12})?) ?"
 _PREFIXES: Final = " kmgt"
-"""Each stands for a thousand times the one before."""
+"""Each prefix means a thousand times the one before."""
 
 
 @dataclass(frozen=True)
 class Measure:
-    """The unit of a key's numbers, in words, with a usual number, and other units: pattern to worth in this unit."""
+    """The unit of a key's numbers, in words, a usual number, and the size of other units in this unit, by pattern."""
 
     unit: str
     usual: str
     others: Mapping[str, Decimal]
 
     def number(self, text: str) -> Decimal | None:
-        """The number in this unit that a text like `5 Mbit/s` means; None if it means none."""
+        """Return the number in this unit that a text like `5 Mbit/s` means; None for any other text."""
         for pattern, worth in self.others.items():
             found = re.fullmatch(rf"{_NUMBER}([kKmMgGtT]?)(i?)(?:{pattern})", text.strip())
             if found is not None and not text.strip().endswith(found[1]):

@@ -45,7 +45,7 @@ _EACH_MEANS = {
     "max_cost": "the most that an update may cost",
 }
 _NAMED_BY_USERS = (("quality",), ("needs",), ("offers",))
-"""The mappings whose keys are names of the environment file."""
+"""The mappings whose keys are names that the user chooses."""
 _KINDS_OF_VALUE = {
     "string_type": "text",
     "int_type": "a whole number",
@@ -112,7 +112,7 @@ _EMPTY: Final = {
     "between": _EMPTY_SELECTOR,
     "requires": ("the requirement is empty", "write a fact, such as `night` or `visibility >= 2.25`, or remove it"),
 }
-"""By key of an expression that may not be empty: the message and the mend."""
+"""Message and mend for an empty expression, by its key."""
 
 
 def _fault(source: Source, path: Path, at_key: bool, error: Any, part: type[BaseModel]) -> Fault:

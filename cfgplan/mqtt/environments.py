@@ -22,7 +22,7 @@ _SUBSCRIBER: Final = "cfgplan_runtime.mqtt:Subscriber"
 _OWN: Final = "cfgplan/"
 """The prefix of the topics that runs publish."""
 _STATUS: Final = re.compile(rf"{_OWN}[^/]+/status")
-"""The topic that says by default whether a run is online."""
+"""The topic on which a run says by default whether it is online."""
 _ALIKE: Final = 3
 """The least number of topics differing in one level for a hint."""
 _PATIENCE: Final = 5

@@ -46,10 +46,13 @@ class Decide:
     labels: int = row(600, "labels", "Networks of up to this size are searched before all else.", LIBRARIES)
     left: int = row(400, "labels", "So many that bounds leave are searched in a replan.", "`benchmark.py replan`")
     disjoint: int = row(
-        5000, "labels", "With distinct inputs, up to this size, parts that share nothing come first.", "NAO, 20 to 200"
+        5000,
+        "labels",
+        "If inputs are distinct, disjoint parts are tried first up to this size.",
+        "NAO, 20 to 200 robots",
     )
     choices: int = row(
-        100, "facts", "They do if at most this many facts have more providers than they take.", "NAO; random libraries"
+        100, "facts", "Not if more facts than this have more providers than they take.", "NAO; random libraries"
     )
     chained: int = row(
         16, "labels", "Above this size, most expensive chains are charged before the search.", "NAO, 20 robots"
@@ -96,7 +99,7 @@ class Replan:
         1.05, "times", "Plans up to this multiple of the cost after the most expensive failure are bounded.", AT_REST
     )
     ties: float = row(1.0, "s", "The solver may look so long for another plan at the same cost.", AT_REST)
-    many: int = row(100, "labels", "If so many are left, landmarks are charged by a linear program.", AT_REST)
+    many: int = row(100, "labels", "If bounds leave so many, a linear program charges the landmarks.", AT_REST)
 
 
 @dataclass(frozen=True)
@@ -158,8 +161,10 @@ class Near:
         15.0, "the engine's us/label^1.5", "Labels that are used are searched so long first.", LIBRARIES
     )
     small: int = row(1000, "labels", "Below it, probing takes longer than it saves.", LIBRARIES)
-    in_vain: float = row(30.0, "the engine's us/label^1.5", "They end so long after the last cheaper plan.", LIBRARIES)
-    soon: float = row(5.0, "the engine's us/label^1.5", "So long where the solver has hope.", LIBRARIES)
+    in_vain: float = row(
+        30.0, "the engine's us/label^1.5", "Without hope, they end so long after the last cheaper plan.", LIBRARIES
+    )
+    soon: float = row(5.0, "the engine's us/label^1.5", "If the solver has hope, they end so long after it.", LIBRARIES)
     times: int = row(8, "times", "Needs are chosen so often where one choice gives no missed landmark.", LIBRARIES)
     share: float = row(0.5, "share", "They take at most this part of the time that is left.", LIBRARIES)
     hopeless: float = row(0.08, "share of the cost", "From this gap on the solver has little hope.", LIBRARIES)
@@ -248,7 +253,7 @@ class Tuning:
         return cls(is_solver_only=True, counts=False, reduces=False)
 
     def without_search(self) -> Tuning:
-        """The same without a search or a proof of the planner's own before landmarks."""
+        """The same without the planner's own search and without disjoint parts."""
         return replace(self, decide=replace(self.decide, steps=0, disjoint=0))
 
     def rows(self) -> Iterator[tuple[str, object, Description]]:

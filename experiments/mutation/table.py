@@ -502,19 +502,19 @@ PARTS = _room(
         "own = countable",
     ),
     (
-        "a label is counted for each fact that it gives",
+        "a label counts once for each fact that it provides",
         "disjoint.py",
         "countable &= shared | ~behind",
         "pass",
     ),
     (
-        "a label that is forced is counted again",
+        "a forced label is counted again",
         "disjoint.py",
         "        countable &= ~forced",
         "        pass",
     ),
     (
-        "behind a label is less than there is",
+        "the labels behind another one are incomplete",
         "disjoint.py",
         "while self._follow(each(order), needs):",
         "if self._follow(each(order), needs):",

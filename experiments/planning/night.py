@@ -25,7 +25,7 @@ from hypothesis import seed as from_seed
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parents[1] / "tests" / "planners"))
-os.environ["CFGPLAN_SHARE"] = "1"  # the oracle takes all its steps
+os.environ["CFGPLAN_SHARE"] = "1"  # the oracle may take all its steps
 
 from kinds import KINDS, LeftOpenError  # noqa: E402
 

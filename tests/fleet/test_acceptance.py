@@ -16,7 +16,7 @@ SHORT = (
     *("agent killed", "partition", "storm", "host returns", "cut for good"),
 )
 PARTS = 4
-"""The number of parts, each with cases of every kind. A push plays one of them, all are played at night."""
+"""The number of parts, each with cases of every kind. A push plays one of them, the night plays all."""
 
 
 @pytest.mark.parametrize("seed", range(PARTS))

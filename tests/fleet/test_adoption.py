@@ -224,7 +224,7 @@ def test_a_unit_whose_state_another_has_is_told_to_stop_unless_the_update_was_un
     assert adoption.orders == [("r1", GiveStateOrder("work.1", None, {}))], "a source that was asked gives again"
 
 
-def test_a_unit_that_was_asked_for_its_state_by_one_that_is_gone_goes_on_beside_others_with_that_state() -> None:
+def test_a_unit_that_gave_its_state_to_a_unit_that_is_gone_continues_beside_others_with_that_state() -> None:
     held = in_handover(new="has it")
     held.units["work.1"].successor = "work.3"
     for _ in range(2):

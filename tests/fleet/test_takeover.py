@@ -148,8 +148,8 @@ def test_failures_of_changed_code_are_forgotten(tmp_path: Path) -> None:
         assert told(last, FailuresKept) == [], "they are forgotten for good"
 
 
-def test_failures_are_told_whatever_the_library_was_when_the_run_began() -> None:
-    """The manager judges them by the present one."""
+def test_failures_are_reported_whatever_the_library_was_when_the_run_began() -> None:
+    """The manager judges them by its present library."""
     with small_fleet("r1", "r2") as fleet, fleet.backend("r1", "r2") as first:
         first.remember("work", "r2", FAILED)
         first.take_hosts(())

@@ -1,4 +1,4 @@
-"""Numbers with a unit of measurement, as people write them, in the unit of their key."""
+"""Numbers that people write with a unit of measurement are converted to the unit of their key."""
 
 from __future__ import annotations
 

@@ -88,7 +88,7 @@ def test_wrong_contents_have_a_place_and_a_mend(tmp_path: Path, qualities: str, 
 
 
 @pytest.mark.parametrize("value", ["null", "[1.5]", "{}"])
-def test_a_fact_that_is_a_word_is_no_other_json(tmp_path: Path, value: str) -> None:
+def test_a_fact_that_is_a_word_can_not_be_null_or_a_list(tmp_path: Path, value: str) -> None:
     path = tmp_path / "now.json"
     path.write_text(f'{{"format_version": 1, "facts": {{"mode": {value}}}}}')
     with pytest.raises(InputError) as raised:

@@ -31,7 +31,7 @@ IN_THE_CHILD = {
 }
 """Runtimes whose units end in a wrong way, by `kit_mutants.py`, and the promise that each breaks."""
 FIRST_BROKEN = {"discards what waits": 1, "does not count": 2, "does not tell": 2, "tells another time": 2}
-"""The number of the first check that such a runtime fails, where it is not the first of all."""
+"""By broken promise: the number of the first check that fails, unless it is check 0."""
 
 
 def kill_at_once(backend: ProcessBackend, unit: str) -> None:
@@ -67,7 +67,7 @@ IN_THE_RUN: dict[str, tuple[str, type, str, Any]] = {
 def check(
     tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> Callable[[str], None]:
-    """Checks a broken runtime from the first promise that it breaks, each promise in a runtime of its own."""
+    """Return a check of a broken runtime from the first promise that it breaks, each promise in its own runtime."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(Path(__file__).parent), *sys.path]))
 

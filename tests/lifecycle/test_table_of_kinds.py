@@ -83,7 +83,7 @@ def texts_in(constants: Iterable[object]) -> Iterator[str]:
 
 
 def phrases(path: Path) -> set[str]:
-    """The pieces of at least four words in the texts of a compiled module, of which annotations with `|` are none."""
+    """The texts of a compiled module that have at least four words, except annotations with `|`."""
     code = SourceFileLoader("module", str(path)).get_code("module")
     assert code is not None
     found = (" ".join(text.split()) for text in texts_in(code.co_consts))

@@ -1,4 +1,4 @@
-"""Streams of ROS nodes as observers see them: what is so for ROS 1 and for ROS 2, in the environment of words."""
+"""Checks of observed streams of nodes that ROS 1 and ROS 2 share, in the environment of words."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def seen_on(topic: str) -> int:
 
 
 def check_that_messages_are_shown(middleware: str, env: Path) -> None:
-    """Messages between nodes and on topics are shown while somebody looks."""
+    """Messages between nodes and on topics are shown while a peek lasts."""
     with running("--middleware", middleware, env) as process:
         await_event(process, "Running")
         with connect() as control:

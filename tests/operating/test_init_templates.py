@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -31,6 +32,18 @@ def test_a_template_is_valid_and_planned(template: str, tmp_path: Path, capsys: 
     found = json.loads(capsys.readouterr().out)
     assert found["status"] == "optimal"
     assert found["change_set"]["started"]
+
+
+def test_the_commands_of_a_template_kill_units_of_its_plan(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    killed = {name: re.findall(r"ctl kill (\S+)", " ".join(each.next)) for name, each in TEMPLATES.items()}
+    assert any(killed.values())
+    for name, units in killed.items():
+        if units:
+            env = written(tmp_path / name, name)
+            capsys.readouterr()
+            assert main(["solve", str(env), "--json"]) == 0
+            started = json.loads(capsys.readouterr().out)["change_set"]["started"]
+            assert {*units} <= {unit["id"] for unit in started}
 
 
 def test_each_template_but_that_of_ros_is_run_here() -> None:

@@ -199,7 +199,7 @@ def test_no_landmarks_are_looked_for_everywhere_while_few_labels_are_left() -> N
 
 
 @pytest.mark.parametrize("many", [0, 301])
-def test_targets_are_planned_anew_for_a_shorter_time_where_few_labels_are_left(many: int) -> None:
+def test_targets_are_replanned_for_a_shorter_time_if_few_labels_are_left(many: int) -> None:
     near = replace(EVERYWHERE, many=many, soon=0.0)
     with mock.patch.object(Neighbourhoods, "go_on", side_effect=InterruptedError):
         both = first_closing(random_library(5, transformations=300, targets=12), near)

@@ -157,7 +157,7 @@ def test_the_plan_for_a_fleet_does_not_depend_on_the_run_or_the_order_of_lists(
 @given(fleets(KNOWN_TO_BOUNDS, most=3))
 def test_the_plan_for_a_fleet_leaves_nothing_to_do(problem: Problem) -> None:
     plan = PLANNERS["cpsat"](problem)
-    if plan.change_set is None:  # as of most fleets: without the targets that can't be met there may be a plan
+    if plan.change_set is None:  # as for most fleets: without the targets that can't be met, a plan may exist
         met = tuple(target for target in problem.environment.targets if target.label not in plan.reasons)
         assume(met)
         problem = problem.with_parts(targets=met)

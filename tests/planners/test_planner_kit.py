@@ -108,7 +108,7 @@ def renamed(problem: Problem, found: Plan, names: Mapping[str, str]) -> Plan:
 
 
 def starts_under_another_id(problem: Problem, found: Plan) -> Plan:
-    """What runs on is stopped, and started under another id, as if that were for nothing."""
+    """The plan that also restarts each kept unit under another id, as if that cost nothing."""
     assert found.change_set is not None
     kept = {unit.id for unit in problem.environment.units} - {*found.change_set.stopped}
     return renamed(problem, found, {name: f"{name}.again" for name in kept})

@@ -216,12 +216,12 @@ def changed(draw: st.DrawFn, problem: Problem) -> Problem:
 DRAWS_ALL = "CFGPLAN_EXAMPLES" in os.environ or os.environ.get("CFGPLAN_SHARE") == "1"
 """Whether all examples are drawn, as at night."""
 FEW_STEPS = 10_000
-"""The steps that the oracle may take for an example of a push: they take about 2 s of CPU."""
+"""The most steps of the oracle for an example of a push: about 2 s of CPU."""
 
 
 @contextmanager
 def few_steps() -> Iterator[None]:
-    """Let the oracle refuse what takes it long, unless all examples are drawn: one of them may take half a minute."""
+    """Let the oracle refuse examples that take many steps, up to half a minute, unless all examples are drawn."""
     with patch.object(exhaustive, "MOST_STEPS", exhaustive.MOST_STEPS if DRAWS_ALL else FEW_STEPS):
         yield
 

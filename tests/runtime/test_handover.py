@@ -116,7 +116,7 @@ def next_mode(number: int, **feeds: str) -> ChangeSet:
 
 
 def rises(runtime: Runtime, listener: Listener) -> set[tuple[int, ...]]:
-    """By how much the numbers of an element are above those of the one before it, once the run has ended."""
+    """End the run. Returns the differences between the numbers of successive elements."""
     runtime.close()
     listener.join()
     return {tuple(after - before for before, after in zip(*two, strict=True)) for two in pairwise(listener.values)}

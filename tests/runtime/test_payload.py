@@ -81,7 +81,7 @@ def element(time_ns: int, size: int) -> Outgoing:
 
 
 def until_the_end(sender: Sender, receiver: Receiver) -> list[Element]:
-    """What comes yet once everything is sent and the channel is closed."""
+    """The elements that still arrive after everything is sent and the channel is closed."""
     got: list[Element] = []
     while not sender.flush():
         got += receiver.read()

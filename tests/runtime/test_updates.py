@@ -309,7 +309,7 @@ def test_a_unit_that_an_undone_update_has_kept_is_given_the_state_by_the_next() 
     assert ", ".join(scene.said).startswith(f"wait, {NEXT}, {told}, stop high.1")
 
 
-def test_after_an_undone_handover_the_unit_before_goes_on_and_a_kept_heir_is_not_given_the_state_twice() -> None:
+def test_after_an_undone_handover_the_old_unit_continues_and_a_kept_new_one_gets_no_second_state() -> None:
     quiet = worker("quiet")
     environment = replace(MODES, library=(*MODES.library, quiet))
     change_set = replace(LOWER, started=(*LOWER.started, unit("quiet.1", x="low.1/y")))
@@ -318,11 +318,13 @@ def test_after_an_undone_handover_the_unit_before_goes_on_and_a_kept_heir_is_not
         scene.carry_out(change_set, keeps_new=True)
     given = [said for said in scene.said if said.startswith("give")]
     assert given == ["give low.1 that of high.1 ['x']", "give high.1 what is known []"]
-    assert scene.said.index(given[1]) < scene.said.index("cut low.1/x"), "it gives again before its heir gives nothing"
+    assert scene.said.index(given[1]) < scene.said.index("cut low.1/x"), (
+        "the old unit gives results again before the new one is cut"
+    )
     assert {"low.1", "high.1"} <= scene.alive
 
 
-def test_a_unit_goes_on_if_its_heir_dies_before_it_has_the_state() -> None:
+def test_a_unit_continues_if_its_successor_dies_before_it_has_the_state() -> None:
     scene = Scene(MODES)
     commands = carry_out(scene, LOWER, environment_after(scene.environment, LOWER), Patience())
     while not isinstance(command := next(commands), AskState):

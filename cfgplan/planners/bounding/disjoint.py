@@ -1,8 +1,9 @@
 """A lower bound from parts of a plan that share nothing.
 
-If a fact takes `n` of its providers, every plan pays for `n` of them and for all that these can't do without. Labels
-that only one of the providers may need are counted for this one alone, so the costs of the `n` cheapest add up. The
-same holds for every fact that a part can't do without. Sets are bits of an integer: of labels, the goal, and facts.
+If a fact takes `n` of its providers, every plan pays for `n` of them and for all labels that these force. A part is a
+provider with the labels that it forces, and counts only labels that no other provider of the fact may need. The costs
+of the `n` cheapest parts therefore add up. The facts that a part forces are bounded in the same way. A set is an
+integer: its bits stand for labels, the goal, and facts.
 """
 
 from __future__ import annotations
@@ -17,15 +18,15 @@ from cfgplan.planners.networks.core import Core
 from cfgplan.reasons import Each
 
 DEEPEST: Final = 50
-"""The facts of a part that lies within so many others are not looked at."""
+"""Parts within this many others are bounded without the facts that they force."""
 
 
 def disjoint_bound(
     core: Core, cost: Sequence[int], certain: Collection[int], each: Each = iter
 ) -> tuple[int, set[int]]:
-    """Return a lower bound on the cost of plans, and labels that may be a plan of this cost.
+    """Return a lower bound on the cost of plans, and a set of labels that may be a plan of this cost.
 
-    Every plan has the `certain` labels.
+    `certain` has labels that every plan uses.
     """
     parts = _Parts(core, cost, each)
     forced = reduce(or_, [parts.forced[label] for label in certain], parts.forced[core.goal])
@@ -34,7 +35,7 @@ def disjoint_bound(
 
 
 class _Parts:
-    """For each label, what every plan with it has (`forced`) and what may be needed for it (`behind`), with itself."""
+    """By label, all that every plan with it has (`forced`) and all that it may need (`behind`), itself included."""
 
     def __init__(self, core: Core, cost: Sequence[int], each: Each) -> None:
         needs, self._providers = core.needs.lists, core.providers.lists
@@ -50,7 +51,7 @@ class _Parts:
             pass
 
     def _follow(self, labels: Iterable[int], needs: Mapping[int, list[int]]) -> bool:
-        """Add what the needs of each label force and what is behind them. Returns whether anything was new."""
+        """Extend `forced` and `behind` of each label by those of its needs. Returns whether a set grew."""
         forced, behind, is_new = self.forced, self.behind, False
         of_fact: dict[int, tuple[int, int]] = {}
         for label in labels:
@@ -68,9 +69,9 @@ class _Parts:
         return is_new
 
     def least(self, forced: int, countable: int, depth: int) -> tuple[int, int]:
-        """Return the least cost of `countable` labels in plans with all that is `forced`, and a choice at this cost.
+        """Return a lower bound on the cost of `countable` labels in plans with `forced`, and a choice at this cost.
 
-        With a label, all that it forces must be forced.
+        If `forced` has a label, it must have all that this label forces.
         """
         value, chosen, facts = 0, forced, []
         for one in _members(forced & countable):

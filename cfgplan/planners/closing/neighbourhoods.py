@@ -57,7 +57,7 @@ class Neighbourhoods:
         return self._took
 
     def are_in_vain(self, work: float) -> bool:
-        """Whether so much work, in the engine's microseconds per label^1.5, has passed since the last cheaper plan."""
+        """Whether the last cheaper plan was `work` ago or more, in the engine's microseconds per label^1.5."""
         return bool(self._in_vain >= work * self._scale)
 
     def go_on(self, clock: Clock) -> None:

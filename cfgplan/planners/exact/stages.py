@@ -73,9 +73,9 @@ def use_all_required(work: SolveRun) -> bool:
 
 
 def prove_by_disjoint_parts(work: SolveRun) -> bool:
-    """Add up parts of a plan that share nothing, where inputs are distinct and no landmarks are known yet.
+    """Add up disjoint parts of a plan if inputs are distinct and no landmarks are known yet.
 
-    Where many facts leave a choice, parts mostly share something.
+    If many facts have more providers than they take, this is skipped: their parts mostly share labels.
     """
     network, core, tuning = work.structure.network, work.structure.network.core, work.clock.tuning.decide
     if work.memory.has_landmarks or core.takes is None or core.goal > tuning.disjoint or core.choices > tuning.choices:

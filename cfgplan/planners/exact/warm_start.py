@@ -92,9 +92,9 @@ def _charged(bound: Bound, enough: int, limit: int, clock: Clock) -> Bound:
 
 
 def _raised(bound: Bound, enough: int, limit: int, clock: Clock) -> Bound:
-    """The bound tightened; if many labels are left, its landmarks are then charged in the best way, too.
+    """Return the bound tightened. If it leaves many labels, a linear program then charges its landmarks.
 
-    A search of many labels takes longer than the linear program.
+    Searching so many labels would take longer than the linear program.
     """
     bound = tightened(bound, enough, limit, clock)
     keep = bound.may_be_used(limit)

@@ -192,9 +192,11 @@ class Core:
 
     @property
     def choices(self) -> int:
-        """How many facts that are needed have more providers than they take."""
+        """The number of needed facts that have more providers than they take."""
         leaves_a_choice = np.diff(self.providers.starts) > (1 if self.takes is None else self.takes)
-        return int(leaves_a_choice[np.unique(self.needs.items)].sum())
+        is_needed = np.zeros(len(self.providers), bool)  # np.unique would import numpy.ma
+        is_needed[self.needs.items] = True
+        return int((leaves_a_choice & is_needed).sum())
 
     @cached_property
     def is_deep(self) -> bool:
@@ -302,7 +304,7 @@ class Core:
         missing = [len(needs[label]) for label in range(self.goal)] + [0]  # the goal gives nothing
         facts: dict[int, Value] = {}
         offers: dict[int, list[Value]] = {fact: [] for fact in takes}
-        ahead: list[tuple[Value, int, bool]] = []  # the flag: whether the value is the fact's, not that of one offer
+        ahead: list[tuple[Value, int, bool]] = []  # the flag: True if it is the fact's value, False for one offer
 
         def settled() -> Iterator[int]:
             while ahead:

@@ -26,9 +26,9 @@ _decoders: dict[int, tuple[object, msgspec.msgpack.Decoder[Any]]] = {}
 
 
 def decoder(incoming: object) -> msgspec.msgpack.Decoder[Any]:
-    """Return the decoder of the messages of a type. It is kept: a child takes over the one of its nursery.
+    """Return the decoder of the messages of a type. Decoders are kept: a child uses those of its nursery.
 
-    It is found by the type's id: the hash of a union uses all of its types, so that a child copies their memory.
+    The type's id is the key, because the hash of a union uses all its types, and a child would copy their memory.
     """
     found = _decoders.get(id(incoming))
     if found is None:

@@ -88,7 +88,7 @@ class Handover:
         return sum(len(kept) for inlet, kept in self._held.items() if port_of(inlet) == port)
 
     def begin(self, inputs: Mapping[str, GivenInput]) -> None:
-        """Let the steps of a waiting unit begin at a place; without one, with the elements that came."""
+        """Begin a waiting unit's steps at the place of each inlet in `inputs`, else with the elements that came."""
         self.is_waiting, self._begun = False, None
         held = self._held or {}
         for inlet, given in inputs.items():
@@ -142,7 +142,7 @@ class Handover:
         )
 
     def stay(self) -> None:
-        """Continue with the own state: the unit is not replaced after all."""
+        """Continue with the unit's own state: it is not replaced after all."""
         self._asked, self._paused_until_ns = None, 0
 
     def tell(self, state: bytes | None) -> None:

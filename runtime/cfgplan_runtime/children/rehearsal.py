@@ -1,8 +1,8 @@
 """A rehearsal of a unit, in the process that forks units.
 
 Python changes its own memory while code runs for the first times: it specializes the code, and fills caches. A child
-that is forked afterwards shares these pages, instead of having its own copy of each. It needs copies, too, of pages in
-which it takes a free block beside others' objects, so these blocks are taken before.
+that is forked afterwards shares these pages, instead of having its own copy of each. A child also copies each page in
+which it takes a free block beside other objects, so the nursery takes these blocks before it forks.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _TIMES = 20
 _POOL, _POOL_HEAD, _LARGEST_BLOCK = 16_384, 48, 512
 """Bytes of a pool of Python's allocator, of its head, and of its largest blocks. All blocks of a pool have one size."""
 _MOST_TAKEN = 1 << 20
-"""The most bytes that are taken in blocks of one size, if the allocator is another one."""
+"""With another allocator, at most this many bytes are taken in blocks of one size."""
 
 
 def unchanged(x: object) -> object:
@@ -62,7 +62,7 @@ def rehearse(begin: Callable[[], None]) -> None:
 
 
 def fill_gaps() -> list[bytes]:
-    """Take the free blocks of pools that are in use. Returns the taken blocks; they are free again once it is gone."""
+    """Take the free blocks of pools that are in use. Returns them in a list; they are free again once it is deleted."""
     gc.collect()  # empties Python's lists of free objects
     taken = list[bytes]()
     head = sys.getsizeof(b"")

@@ -197,7 +197,7 @@ class UnitChild:
                 self._begun = unit
             case messages.HoldSteps():
                 self._handover.hold()
-                self._results = None  # a source may be at a step, whose result is of the state before the hand-over
+                self._results = None  # if a source is at a step, its result comes from the state before the hand-over
             case messages.TellPlaces(begun):
                 self._handover.ask_places(begun)
             case messages.TellState(until):

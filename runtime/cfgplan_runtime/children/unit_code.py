@@ -164,7 +164,7 @@ def imported_files(folder: Path) -> dict[str, int]:
 
 
 def _module_of_file(place: str, folder: str) -> ModuleType:
-    """Import a file of a folder. No `pathlib`: its code would take memory of each unit (see `rehearsal`)."""
+    """Import a file of a folder, without `pathlib`, whose code would take memory in each unit (see `rehearsal`)."""
     path = os.path.join(folder, place.removeprefix("./"))  # noqa: PTH118
     if not os.path.isfile(path):  # noqa: PTH113
         raise BadSourceError(f"there is no file {path}")

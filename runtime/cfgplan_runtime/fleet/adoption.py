@@ -115,8 +115,8 @@ def _stopping(held: Mapping[str, Held]) -> dict[str, str]:
 
 
 def failures_kept(host: str, held: Held, folder: Path) -> list[events.FailuresKept]:
-    """The failures on a host whose code has not changed since. The transformation may be started otherwise now: see
-    `FailuresKept.is_of`.
+    """Return the failures on a host whose code has not changed since. Their transformations may be started differently
+    now: see `FailuresKept.is_of`.
     """
     return [
         events.FailuresKept(label, host, one.number, one.at(held.now_s).left_s, one.cause, one.digest)

@@ -279,8 +279,8 @@ class Agent:
         self._is_left = False
 
     def _refuse_unreadable(self, session: orders.Session, error: orders.OtherVersionError) -> None:
-        """Refuse a session with an order that this version can't read: none that came with it is carried out, and the
-        units keep running. Its manager is told again whenever it says something.
+        """Refuse a session with an order that this version can't read. No order that came with it is carried out, the
+        units keep running, and each further message of the session's manager is refused, too.
         """
         if self._unreadable is None or self._unreadable[0] != session:
             self._unreadable = session, error

@@ -80,9 +80,9 @@ class FleetBackend:
         self._unplaced: set[str] = set()
         """Topics without a required host, while no host has joined."""
         self._failures: dict[str, dict[str, orders.HeldFailures]] = {}
-        """By host and label: the failures that are to be kept, with the time on this backend's clock."""
+        """By host and label: the failures that hosts keep for later managers, with the time on this backend's clock."""
         self._settled: set[str] = set()
-        """The hosts that have reported the failures that they had kept for this manager."""
+        """The hosts whose failures, kept for this manager, have been reported."""
         self._routes = Routes(run_folder.id)
         self._counts = Counts()
         self._library = library
@@ -366,10 +366,10 @@ class FleetBackend:
             self._presence.say(host, order)
 
     def _settle_failures(self, host: presence.HostState) -> None:
-        """Report the failures that a host has kept for this manager when it joins; send it the present ones when it is
-        back.
+        """When a host joins, report the failures that it has kept for this manager; when it is back, send it the
+        present ones.
 
-        All others are forgotten there: those of code that has changed, and those that were forgotten while it was away.
+        The host forgets all others: those of changed code, and those that this manager forgot while it was away.
         """
         known = self._failures.get(host.name, {})
         kept = [] if host.name in self._settled else failures_kept(host.name, host.held, self._folder)

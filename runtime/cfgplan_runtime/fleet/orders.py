@@ -176,7 +176,7 @@ class HeldFailures(msgspec.Struct):
     """The failures in a row of a transformation on a host: it must not be started again for `left_s` seconds.
 
     `digest` is that of its start order, and `code` that of its source file on the manager's computer; None without such
-    a file. `at_s` is the time of the message on the clock of who keeps it.
+    a file. `at_s` is the time of the message on the clock of the keeper.
     """
 
     number: int
@@ -246,8 +246,8 @@ class HeldUnit(msgspec.Struct):
     it. It was started at `since_s` on the host's clock.
 
     `handover` is its part in the last hand-over of a state: a new unit waits for the state and then has it; the unit
-    that it replaces is asked for the state, for this `successor`. If it is not replaced after all, it has its state
-    again.
+    that it replaces is asked for the state, for this `successor`. If it is not replaced after all, it has its own
+    state again.
     """
 
     label: str
@@ -381,7 +381,7 @@ def event_of(message: EventReport) -> events.Event:
 
 
 class OtherVersionError(Exception):
-    """A message of another version of cfgplan can't be read. `theirs` is this version; empty if it is not known."""
+    """A message of another version of cfgplan can't be read. `theirs` is the other version; empty if unknown."""
 
     def __init__(self, theirs: str, cause: object) -> None:
         super().__init__(str(cause))
@@ -389,9 +389,9 @@ class OtherVersionError(Exception):
 
 
 def other_version(theirs: str, cause: object) -> str:
-    """Why a manager can't use an agent that has another version of cfgplan, with the mend."""
+    """Return why a manager can't use an agent that has another version of cfgplan, and the mend."""
     known = f"cfgplan {theirs}" if theirs else "an unknown version of cfgplan"
-    again = ", in another state" if theirs == __version__ else ""
+    again = " from other sources" if theirs == __version__ else ""
     return (
         f"its agent has {known}{again}, and this run has cfgplan {__version__}: they do not understand each other "
         f"({cause}); install the same version on both, and start the agent again"

@@ -388,8 +388,8 @@ class Presence:
             self._lose(host, cause)
 
     def _heed(self, host: HostState, refusal: bytes) -> None:
-        """Handle a refusal: leave the host to a later manager if that is alive, unless this one takes over. Leave it
-        alone if its agent can't read the orders.
+        """Handle a refusal: leave the host to a later manager if that one is alive, unless this one takes over. If the
+        host's agent can't read the orders, leave the host alone.
         """
         word, _, version_and_cause = refusal.decode(errors="replace").partition(" ")
         if word == orders.OTHER_VERSION:

@@ -234,8 +234,8 @@ def _found(transition: Transition, unit: str, age_s: float) -> Transition:
 
 
 def _restored(transition: Transition, kept: events.FailuresKept) -> Transition:
-    """Continue with the failures on a host that an earlier manager has counted, unless the world starts other units
-    now: then they are to be forgotten.
+    """Continue with the failures on a host that an earlier manager has counted, unless the world starts these
+    units differently now: such failures are forgotten.
     """
     situation, world = transition.state.situation, transition.state.version.world.environment
     place = Place(kept.transformation, kept.host)

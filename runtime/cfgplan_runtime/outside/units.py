@@ -36,7 +36,7 @@ def only_value(inputs: Mapping[str, object]) -> object:
 def check_call(kind: Callable[..., Any], protocol: str, connection: Iterable[str], params: Mapping[str, Any]) -> None:
     """Raise InputError if params are unknown to a class of unit code, missing, or have a wrong value.
 
-    Params of type `str` must be texts, `payload` a known form, and `field` a field of messages in it. `connection` are
+    Params of type `str` must be texts, `payload` a known form, and `field` a field of messages in it. `connection` has
     the names of the params that the class passes on to its connection.
     """
     own = [one for one in inspect.signature(kind).parameters.values() if one.kind is not one.VAR_KEYWORD]

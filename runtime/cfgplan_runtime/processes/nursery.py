@@ -260,7 +260,7 @@ def _tell(control: ControlConnection[messages.ToChild], trouble: messages.Troubl
 
 def _rehearse_fork() -> None:
     """Call the functions that Python itself calls in each child, unless a thread of a preloaded module runs: they would
-    take it for ended. Then seed numpy, as a child does.
+    mark it as ended. Then seed numpy, as a child does.
     """
     if threading.active_count() == 1:
         for module, name in _CALLED_AFTER_FORK:

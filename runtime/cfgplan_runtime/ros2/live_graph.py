@@ -30,7 +30,7 @@ _RENAMES = ("-r", "--remap")
 _NO_PARAMETERS = ("qos_overrides.", "start_type_description_service")
 """Parameters that each node has by itself."""
 _RMW_VARIABLE, _USUAL_RMW = "RMW_IMPLEMENTATION", "rmw_fastrtps_cpp"
-"""The variable that chooses a middleware, and the one that ROS uses without it."""
+"""The variable that chooses the middleware, and the middleware that ROS uses if it is not set."""
 _USUAL_TIME = ("use_sim_time", False)
 _OF_ACTIONS = "/_action/"
 Named: TypeAlias = list[tuple[str, list[str]]]

@@ -1,4 +1,4 @@
-"""Topics by name: those of taps, and the answer for a topic that nobody publishes."""
+"""Names of topics: those of taps, and the message for a topic that is not published."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def is_tap(topic: str) -> bool:
 
 
 def not_published(topic: str, published: Iterable[str]) -> str:
-    """Return the message for a topic that is not among the published ones, which are named without those of taps."""
+    """Return the message for a topic that is not published. It lists the published topics, except those of taps."""
     there = sorted({name for name in published if not is_tap(name)})
     known = f"there is {some(there) if there else 'no topic at all'}"
     return f"nothing publishes topic {topic!r}; {did_you_mean(topic, there, known)}"

@@ -194,7 +194,7 @@ class Backend(Protocol):
 
     def ask_state(self, unit: str, until: Mapping[str, Moment], successor: str) -> None:
         """Ask a unit for its state, with which the unit `successor` continues: StateTold follows between two steps,
-        once each inlet in `until` has received the element of this moment.
+        once each inlet in `until` has received the element of its moment.
         """
 
     def give_state(self, unit: str, state: bytes | None, inputs: Mapping[str, GivenInput]) -> None:

@@ -264,8 +264,8 @@ class UnitFound(Event, frozen=True):
 class FailuresKept(Event, frozen=True):
     """A host tells the next manager that a transformation has failed there `number` times in a row.
 
-    It must not be started there for another `left_s` seconds; `cause` is that of the last failure. `digest` is that of
-    the order that started its units.
+    It must not be started there for another `left_s` seconds. `cause` is the cause of the last failure, `digest` the
+    digest of the order that started the failed units.
     """
 
     transformation: str

@@ -133,7 +133,7 @@ class AskState(Command, frozen=True):
 
 
 class GiveState(Command, frozen=True):
-    """Give a unit that waits a state and its place in each input; without one, the last known state of its name.
+    """Give a waiting unit a state and its place in each input; without a state, the last known one of its name.
 
     A unit that was asked for its state continues with its own instead.
     """

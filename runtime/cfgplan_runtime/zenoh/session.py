@@ -187,7 +187,7 @@ def plain(error: Exception) -> str:
 
 
 def _ways(connect: str | list[str] | None, listen: str | list[str] | None) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The endpoints to connect to and to listen at. Raises InputError if there is none."""
+    """Return the endpoints to connect to, and those to listen at. Raises InputError if there are none."""
     found = _endpoints(connect), _endpoints(listen)
     if not any(found):
         mend = "write `connect: tcp/HOST:7447` for a router or peer, or `listen`"

@@ -143,6 +143,6 @@ def _check_params(kind: type[Subscriber | Publisher], params: Mapping[str, Any],
 
 
 def _check_when_full(when_full: object) -> None:
-    """Raise InputError."""
+    """Raise InputError for any value but `drop` and `block`."""
     if when_full not in get_args(WhenFull):
         raise InputError.of(f"`when_full` can't be `{when_full}`", mend="write drop or block")
