@@ -197,7 +197,10 @@ class UnitChild:
                 self._begun = unit
             case messages.HoldSteps():
                 self._handover.hold()
-                self._results = None  # a source may be at a step, whose result is of the state before the hand-over
+                # What is under way or waits is of the state before: a source may be at a step, and elements may wait
+                # in a unit that an undone update has kept.
+                self._results = self._next_step = None
+                self._steps.clear()
             case messages.TellPlaces(begun):
                 self._handover.ask_places(begun)
             case messages.TellState(until):
