@@ -44,7 +44,7 @@ _EACH_MEANS = {
     "labor": "CPU seconds of one start",
     "max_cost": "the most that an update may cost",
 }
-_NAMED_BY_USERS = (("quality",), ("needs",), ("offers",))
+_NAMED_BY_USERS = (("quality",), ("needs",), ("offers",), ("at_most",))
 """The mappings whose keys are names of the environment file."""
 _KINDS_OF_VALUE = {
     "string_type": "text",
