@@ -197,8 +197,8 @@ class UnitChild:
                 self._begun = unit
             case messages.HoldSteps():
                 self._handover.hold()
-                # What is under way or waits is of the state before: a source may be at a step, and elements may wait
-                # in a unit that an undone update has kept.
+                # A source may be at a step, and elements may wait in a unit that an undone update has kept: both belong
+                # to the state before.
                 self._results = self._next_step = None
                 self._steps.clear()
             case messages.TellPlaces(begun):
