@@ -252,7 +252,7 @@ class Contribution:
             )
         largest = LARGEST_FACTOR if self.rule is QualityRule.SCALE else LARGEST_QUALITY
         least = -LARGEST_QUALITY if self.rule is QualityRule.ADD else 0
-        for value in (self.value, *(value for _, value in (self.by.points if self.by else ()))):
+        for value in (*(value for _, value in (self.by.points if self.by else ())), self.value):
             if not least <= value <= largest:
                 what = "factor" if self.rule is QualityRule.SCALE else "value"
                 raise InvalidValueError(

@@ -356,6 +356,7 @@ def test_facts_bounds_and_points_may_be_pressures_in_pascal(following: Path, tmp
         ("[0.2, 0.9], [1", "[1, 0.9], [0.2", "the points by light do not rise"),
         ("[0.2, 0.9], [1", "[1, 0.9], [1", "the points by light do not rise"),
         ("0.9]", "-0.9]", "the value -0.9 of error is out of range"),
+        ("[1, 0.1]", "[3, 900000]", "the value 900000 of error is out of range"),
     ],
 )
 def test_what_follows_no_fact_is_refused_with_its_place(following: Path, old: str, new: str, message: str) -> None:

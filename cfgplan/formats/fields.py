@@ -25,7 +25,6 @@ from cfgplan.formats.schema_values import (
     FULL_FORM,
     SHORT_FORM,
     Cost,
-    FactNumber,
     FileList,
     FileName,
     Horizon,
@@ -33,6 +32,7 @@ from cfgplan.formats.schema_values import (
     Name,
     Names,
     Objectives,
+    Point,
     PositiveMicro,
     Selects,
     StreamName,
@@ -384,7 +384,7 @@ class CurvePart(Part):
     """A value that follows a fact of the world: straight lines between points, level beyond the ends."""
 
     by: Name = row("the name of the fact, whose value is a number", ...)
-    points: list[Annotated[list[FactNumber], Limits(min_length=2, max_length=2)]] = row(
+    points: list[Point] = row(
         "two or more pairs [FACT, VALUE]: at FACT the value is VALUE; FACT rises from pair to pair",
         ...,
         min_length=2,

@@ -44,7 +44,7 @@ _EACH_MEANS = {
     "labor": "CPU seconds of one start",
     "max_cost": "the most that an update may cost",
 }
-_NAMED_BY_USERS = (("quality",), ("needs",), ("offers",))
+_NAMED_BY_USERS = (("quality",), ("needs",), ("offers",), ("at_most",))
 """The mappings whose keys are names that the user chooses."""
 _KINDS_OF_VALUE = {
     "string_type": "text",
@@ -110,6 +110,7 @@ _EMPTY_SELECTOR: Final = ("the selector is empty", "write a label of hosts, or l
 _EMPTY: Final = {
     "on": _EMPTY_SELECTOR,
     "between": _EMPTY_SELECTOR,
+    "at_most": _EMPTY_SELECTOR,
     "requires": ("the requirement is empty", "write a fact, such as `night` or `visibility >= 2.25`, or remove it"),
 }
 """Message and mend for an empty expression, by its key."""
@@ -143,9 +144,9 @@ def _fault(source: Source, path: Path, at_key: bool, error: Any, part: type[Base
         message = f"{_shown(value)} is no name" if value else "the name is empty"
         return source.fault(path, message, f"a name has no {barred} and no spaces around it", at_key=at_key)
     if kind == "string_too_short":
-        key = next((step for step in reversed(path) if isinstance(step, str)), "")
+        key = next((step for step in reversed(path[:-1] if at_key else path) if isinstance(step, str)), "")
         is_port = path[-2:-1] in (("inputs",), ("outputs",))
-        return source.fault(path, *(_EMPTY_TAG if is_port else _EMPTY.get(key, _EMPTY_TAG)))
+        return source.fault(path, *(_EMPTY_TAG if is_port else _EMPTY.get(key, _EMPTY_TAG)), at_key=at_key)
     if kind in ("too_short", "too_long"):
         bound = "at least {min_length}" if kind == "too_short" else "at most {max_length}"
         wanted = f"this must be a list of {bound} entries, but has {{actual_length}}"

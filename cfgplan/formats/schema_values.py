@@ -376,6 +376,12 @@ Fact = Annotated[
 ]
 """The value of a fact."""
 FactNumber = Annotated[int, Instead(_fact_number), Schema(_FACT), Written(plain_quality)]
+Point = Annotated[
+    list[FactNumber],
+    Limits(min_length=2, max_length=2),
+    MoreSchema({"allOf": [{"prefixItems": [{}, {**_QUALITY, "minimum": -LARGEST_QUALITY // MICRO}]}]}),
+]
+"""A value of a fact, and the quality there."""
 StateName = Annotated[
     bool | str,
     Instead(_state),

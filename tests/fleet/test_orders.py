@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, cast
 
 import msgspec
@@ -112,6 +112,13 @@ def made_agent(wire: Wire, say: Callable[[str], None] = lambda _: None) -> Agent
 
 def say_all(agent: Agent, session: Session, *batches: list[msgspec.Struct]) -> None:
     """Let a manager give orders in batches, in a session."""
+    talk = said_in_turn(agent, session, *batches)
+    for _ in talk:
+        pass
+
+
+def said_in_turn(agent: Agent, session: Session, *batches: list[msgspec.Struct]) -> Iterator[None]:
+    """Let a manager give one batch of orders after the other, in a session."""
     wire = Wire()
     manager: ReliableChannel[Any] = ReliableChannel(cast("ZenohLink", wire), "manager", "r1", session, FromAgent)
     for batch in batches:
@@ -120,6 +127,8 @@ def say_all(agent: Agent, session: Session, *batches: list[msgspec.Struct]) -> N
         manager.pump(0.0)
         for kind, head, payload in wire.put:
             agent._hear(crossing_key("manager", kind, "r1", str(session)), head, payload)
+        wire.put.clear()
+        yield
 
 
 def test_an_agent_refuses_all_orders_that_come_with_one_that_it_can_not_read_and_says_so_again() -> None:
@@ -147,3 +156,20 @@ def test_an_agent_stays_with_its_manager_if_it_can_not_read_the_orders_of_a_late
     later = LATER._replace(greeting=2)
     say_all(agent, later, [GreetOrder(True, b"", __version__)])
     assert agent._channel is not None and agent._channel.session == later
+
+
+def test_a_manager_is_to_greet_again_if_the_later_one_that_took_over_gives_an_order_that_can_not_be_read() -> None:
+    wire = Wire()
+    agent = made_agent(wire)
+    greeting: list[msgspec.Struct] = [GreetOrder(True, b"", __version__)]
+    earlier = said_in_turn(agent, SESSION, greeting, [StopOrder("a.1")])
+    next(earlier)
+    say_all(agent, LATER, [GreetOrder(True, b"", "9.9.9")], [SingOrder("a.1")])
+    wire.put.clear()
+    next(earlier)
+    assert [payload.decode() for kind, _, payload in wire.put if kind == REFUSE] == [f"{LATER.term} 0"]
+    assert agent._channel is None, "the session can't go on in the middle"
+    again = SESSION._replace(term=LATER.term + 1, greeting=2)
+    say_all(agent, again, greeting, [StopOrder("a.1")])
+    assert agent._channel is not None and agent._channel.session == again
+    assert list(agent._orders) == [*greeting, StopOrder("a.1")]

@@ -122,12 +122,17 @@ def told(backend: FleetBackend, kind: type[Event]) -> list[Event]:
     return [one for one in found if isinstance(one, kind)]
 
 
+def deliver(backend: FleetBackend, host: str) -> None:
+    """Wait until an agent has all orders."""
+    eventually(lambda: backend.wait(0.05) is not None and backend._presence.there[host].channel.is_done)
+
+
 def test_a_host_tells_each_later_manager_of_the_failures_there_until_they_are_forgotten() -> None:
     with small_fleet("r1") as fleet, fleet.backend("r1", library=[WORK]) as first, ExitStack() as stack:
         first.remember("work", "r1", FAILED)
         first.remember("other", "r1", FAILED)
         first.remember("other", "r1", None)
-        first.take_hosts(())  # which sends the orders
+        deliver(first, "r1")
         for _ in range(2):
             later = stack.enter_context(fleet.backend("r1", library=[WORK], takes_over=True))
             (kept,) = told(later, FailuresKept)
@@ -141,7 +146,7 @@ def test_failures_of_changed_code_are_forgotten(tmp_path: Path) -> None:
     (tmp_path / "fleet_units.py").write_text(code + "# mended")
     with small_fleet("r1") as fleet, fleet.backend("r1", library=[WORK]) as first, ExitStack() as stack:
         first.remember("work", "r1", FAILED)
-        first.take_hosts(())
+        deliver(first, "r1")
         later = stack.enter_context(fleet.backend("r1", library=[WORK], folder=tmp_path, takes_over=True))
         assert told(later, FailuresKept) == []
         last = stack.enter_context(fleet.backend("r1", library=[WORK], takes_over=True))
@@ -152,7 +157,7 @@ def test_failures_are_reported_whatever_the_library_was_when_the_run_began() -> 
     """The manager judges them by its present library."""
     with small_fleet("r1", "r2") as fleet, fleet.backend("r1", "r2") as first:
         first.remember("work", "r2", FAILED)
-        first.take_hosts(())
+        deliver(first, "r2")
         edited = replace(WORK, params={"edited": True})
         with fleet.backend("r1", library=[edited], takes_over=True) as later:
             assert told(later, FailuresKept) == []
@@ -166,14 +171,14 @@ def test_failures_that_were_forgotten_while_their_host_was_away_are_forgotten_th
     with small_fleet("r1") as fleet, fleet.backend("r1") as first:
         told(first, HostJoined)
         first.remember("work", "r1", FAILED)
-        first.take_hosts(())
+        deliver(first, "r1")
         host = first._presence.there["r1"]
         first._presence._lose(host, "cut")
         first.remember("work", "r1", None)
         first._presence._greet("r1", host.life, "")
         assert told(first, FailuresKept) == []
         assert not any(first._failures.values()), "nothing is kept of them"
-        eventually(lambda: first.wait(0.05) is not None and first._presence.there["r1"].channel.is_done)
+        deliver(first, "r1")
         with fleet.backend("r1", takes_over=True) as later:
             assert told(later, FailuresKept) == []
 
@@ -181,7 +186,7 @@ def test_failures_that_were_forgotten_while_their_host_was_away_are_forgotten_th
 def test_a_host_that_joins_later_tells_of_the_failures_there_and_one_that_is_back_is_told_of_them() -> None:
     with small_fleet("r1", "r2") as fleet, fleet.backend("r1", "r2", library=[WORK]) as first:
         first.remember("work", "r2", FAILED)
-        first.take_hosts(())
+        deliver(first, "r2")
         with fleet.backend("r1", library=[WORK], takes_over=True) as later:
             assert told(later, FailuresKept) == []
             later.take_hosts(["r2"])
@@ -196,7 +201,7 @@ def test_the_wait_after_a_failure_goes_on_while_a_host_is_away() -> None:
         first.now = lambda: time.monotonic() + 50.0  # type: ignore[method-assign]
         first.take_hosts(["r1"])
         told(first, HostJoined)
-        first.take_hosts(())
+        deliver(first, "r1")
         with fleet.backend("r1", library=[WORK], takes_over=True) as later:
             (kept,) = told(later, FailuresKept)
             assert isinstance(kept, FailuresKept)
@@ -207,7 +212,7 @@ def test_failures_end_with_their_run() -> None:
     with small_fleet("r1") as fleet:
         with fleet.backend("r1", library=[WORK]) as first:
             first.remember("work", "r1", FAILED)
-            first.take_hosts(())
+            deliver(first, "r1")
         with fleet.backend("r1", library=[WORK]) as later:
             assert told(later, FailuresKept) == []
 

@@ -91,6 +91,16 @@ def test_the_schema_and_the_loader_take_a_value_in_the_same_places(tmp_path: Pat
     assert not differ
 
 
+@pytest.mark.parametrize(
+    ("point", "is_valid"), [([-(10**12), 100_000], True), ([1, 100_001], False), ([10**13, 1], False)]
+)
+def test_at_a_point_the_fact_may_be_larger_than_the_quality(point: list[int], is_valid: bool) -> None:
+    curve = {"by": "light", "points": [[-(10**12), 1], point]}
+    output = {"tag": "A", "quality": {"error": {"set": curve}}}
+    data = {"format": "cfgplan/1", "transformations": [{"label": "a", "outputs": {"x": output}}]}
+    assert schema().is_valid(data) == is_valid
+
+
 @pytest.mark.parametrize(("key", "value"), [("max_cost", 1e-7), ("max_cost", 0.0000015), ("transfer", 1e-7)])
 def test_what_is_finer_than_a_millionth_is_refused_by_the_loader_alone(tmp_path: Path, key: str, value: float) -> None:
     """Seen by a schema, 0.3 is no multiple of 0.000001: floating-point numbers can't tell."""

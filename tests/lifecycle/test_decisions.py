@@ -546,6 +546,26 @@ def test_a_new_unit_that_dies_counts_once_however_its_update_ends() -> None:
     assert (state.situation.back_offs.avoided, found(effects, Prepare)) == (frozenset(), [])
 
 
+@pytest.mark.parametrize(
+    "error",
+    [
+        None,
+        NoSourceError("no code", ("work",), "none"),
+        AbandonedError("given up", ("work.2",)),
+        ApplyError("too slow", ("work.2",)),
+    ],
+)
+@pytest.mark.parametrize("has_died", [False, True])
+def test_an_update_that_was_planned_before_an_edit_says_nothing_about_the_present_transformation(
+    error: Exception | None, has_died: bool
+) -> None:
+    """The edit comes while the update is under way, also after a new unit of it has died."""
+    state = after(updating(), 2.5, UnitDied("work.2", "no camera"))[0] if has_died else updating()
+    state, effects = after(mended(state), 3.0, Updated(0.1, error))
+    assert found(effects, LearnOfFailure) == found(effects, Remember) == []
+    assert (state.situation.back_offs.records, state.situation.back_offs.avoided) == ({}, frozenset())
+
+
 def test_where_nothing_else_can_help_what_is_left_alone_may_start_sooner() -> None:
     state = stable()
     for at_s in range(1, 6):

@@ -250,6 +250,7 @@ def test_a_run_takes_from_zenoh_and_gives_to_it(tmp_path: Path, hear: Units, pub
 REFUSED_AT_ONCE: list[tuple[dict[str, Any], str]] = [
     ({"connect": None}, "needs an endpoint"),
     ({"connect": "127.0.0.1:7447"}, "`127.0.0.1:7447` is not an endpoint of Zenoh"),
+    ({"connect": 7447}, "`7447` is not an endpoint of Zenoh"),
     ({"key_expr": "a//b"}, "`a//b` is not a key expression: .*empty chunks are forbidden"),
     ({"payload": "yaml"}, "`yaml` is not a form of payload"),
     ({"field": "a", "payload": "number"}, "has no fields"),

@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import random
+import socket
 from collections.abc import Iterable
 from dataclasses import replace
 from itertools import islice, pairwise
+from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
 
 import msgspec
 import pytest
 from cfgplan_runtime import Runtime
+from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.handover import Handover
+from cfgplan_runtime.children.messages import GivenInput, HoldSteps, TakeState, ToChild
 from cfgplan_runtime.children.ports import Ports
 from cfgplan_runtime.children.steps import Step, StepQueue
+from cfgplan_runtime.children.unit_child import UnitChild
+from cfgplan_runtime.children.unit_order import unit_order
 from cfgplan_runtime.streams.element import BEFORE_ALL, Element, Moment
+from cfgplan_runtime.streams.payload import PayloadEncoder
 from cfgplan_runtime.supervision.events import StateNotExact
 from watching import Listener, StartRuntime, seen
 from world import eventually, source, start, unit, worker
@@ -254,3 +261,27 @@ def test_a_source_that_was_asked_for_its_state_and_stays_gives_again_at_once(mon
     handover.ask_state({})
     handover.stay()
     assert not handover.is_state_due
+
+
+@pytest.mark.parametrize("is_begun", [False, True])
+def test_elements_that_waited_before_a_unit_was_told_to_wait_for_a_state_are_no_steps_after_it(is_begun: bool) -> None:
+    """An undone update has kept the unit; the unit before it has made these steps, and its state has them."""
+    ours, theirs = socket.socketpair()
+    _, low = modes("Tally")
+    order = msgspec.structs.replace(unit_order("low.1", low, None), folder=str(Path(__file__).parent))
+    child = UnitChild(order, ControlConnection(theirs, ToChild))
+    elements = [Element(at, 0, 0, b"".join(PayloadEncoder().encode(at))) for at in range(1, 6)]
+    for element in elements[:4]:
+        child._steps.put("x", element, may_drop=False)
+    if is_begun:
+        assert child._pending is not None
+    child._obey(HoldSteps(), [])
+    child._work()
+    child._ports.inputs["x"].take(elements[4])
+    child._obey(TakeState(msgspec.msgpack.encode(4), {"x": GivenInput((4, 0))}), [])
+    child._work()
+    assert child.step == 1
+    assert child._state() == msgspec.msgpack.encode(5)
+    child.close()
+    for end in (ours, theirs):
+        end.close()

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
+import pytest
 from cfgplan_runtime.children.rehearsal import fill_gaps, rehearse
 from cfgplan_runtime.supervision.events import UnitPrinted
 from watching import StartRuntime, seen
@@ -41,3 +43,23 @@ def test_each_unit_has_random_numbers_of_its_own(run_units: StartRuntime) -> Non
     eventually(lambda: len(seen(runtime, UnitPrinted)) == 4)
     numbers = [number for event in seen(runtime, UnitPrinted) for number in event.line.split()]
     assert len({*numbers}) == 8
+
+
+SHARED_LOG = """
+import logging, multiprocessing
+class Shared(logging.Handler):
+    def createLock(self):
+        super().createLock()
+        self.lock = multiprocessing.RLock()
+shared = Shared()
+"""
+
+
+def test_units_start_although_a_preloaded_module_has_a_log_handler_that_python_can_not_renew_after_a_fork(
+    run_units: StartRuntime, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "shared_log.py").write_text(SHARED_LOG)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), *sys.path]))
+    runtime = run_units(source("draw", "draw"), preload=["shared_log"])
+    runtime.apply(start(unit("draw.1")))
+    eventually(lambda: len(seen(runtime, UnitPrinted)) > 0)

@@ -131,6 +131,11 @@ class StepQueue:
         sent = [GivenElement(one.time_ns, one.turn, bytes(one.payload)) for one in kept if one.moment <= until]
         return GivenInput(done, sent)
 
+    def clear(self) -> None:
+        """Forget the elements that wait."""
+        for waiting in self._waiting.values():
+            waiting.clear()
+
     def begin_at(self, inlet: str, done: Moment, elements: Iterable[Element]) -> list[Element]:
         """Go on from an inlet's place. Returns the elements after it, each once.
 

@@ -197,7 +197,10 @@ class UnitChild:
                 self._begun = unit
             case messages.HoldSteps():
                 self._handover.hold()
-                self._results = None  # if a source is at a step, its result comes from the state before the hand-over
+                # A source may be at a step, and elements may wait in a unit that an undone update has kept: both belong
+                # to the state before.
+                self._results = self._next_step = None
+                self._steps.clear()
             case messages.TellPlaces(begun):
                 self._handover.ask_places(begun)
             case messages.TellState(until):

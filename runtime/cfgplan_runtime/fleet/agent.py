@@ -255,6 +255,9 @@ class Agent:
             if channel is not None and not _supersedes(session, channel.session):
                 self._refuse(session, channel.session, is_obeyed=self._has_living_manager)
                 return
+            if channel is None and self._unreadable is not None and self._is_superseded(session):
+                self._refuse(session, self._unreadable[0], is_obeyed=False)
+                return
             channel = orders.ReliableChannel(self._link, self.name, MANAGER, session, orders.Order)
         try:
             heard = channel.hear(kind, head, payload, time.monotonic())
@@ -265,6 +268,10 @@ class Agent:
             self._enter(channel)
         self._orders += heard
         self._is_left = self._is_left or any(isinstance(order, orders.LeaveOrder) for order in heard)
+
+    def _is_superseded(self, session: orders.Session) -> bool:
+        """Whether a session has ended for a later manager. It can't go on in the middle, but its manager may greet."""
+        return any(session == earlier for _, earlier in self._superseded.values())
 
     def _enter(self, channel: orders.ReliableChannel[orders.Order]) -> None:
         """Obey the manager of a new session."""

@@ -35,6 +35,11 @@ class Running:
     since_s: float
     host: str | None = None
 
+    @property
+    def place(self) -> Place:
+        """Where its failures count."""
+        return Place(self.transformation.label, self.host)
+
 
 @dataclass(frozen=True, slots=True)
 class Situation:
@@ -72,11 +77,6 @@ class Situation:
         """The label of a unit's transformation; None if the unit is not known."""
         running = self.units.get(unit)
         return None if running is None else running.transformation.label
-
-    def place_of(self, unit: str) -> Place | None:
-        """The transformation and host of a unit; None if the unit is not known."""
-        running = self.units.get(unit)
-        return None if running is None else Place(running.transformation.label, running.host)
 
     def why_not(self, label: str, host: str | None) -> str | None:
         """The reason why no unit of a transformation may be started on a host now, apart from facts; None

@@ -21,6 +21,7 @@ from cfgplan_runtime.lifecycle.basis import basis_of, staleness
 from cfgplan_runtime.lifecycle.changes import ApplyPlan, RestartUnits, Stop
 from cfgplan_runtime.lifecycle.configuration import Situation, external_units, is_outdated, restarting, with_world
 from cfgplan_runtime.lifecycle.deliberation import Findings, Looked
+from cfgplan_runtime.lifecycle.differences import can_run_as
 from cfgplan_runtime.lifecycle.fact_values import fact_seen, facts_fallen_silent
 from cfgplan_runtime.lifecycle.inbox import Asked, FactSeen, Item, Leave, PreviewAsked, QualityTold, Unusable
 from cfgplan_runtime.lifecycle.kinds import Urgency, kind_of
@@ -33,6 +34,7 @@ from cfgplan_runtime.lifecycle.perturbations import (
     PlanGiven,
     RestartAsked,
     Started,
+    UnitGone,
     UpdateFailed,
 )
 from cfgplan_runtime.lifecycle.policy import Policy
@@ -374,9 +376,22 @@ def _updated(transition: Transition, updated: Updated) -> Transition:
     seen = transition.state.seen.after_update(unit.id for unit in started)
     transition = transition.to(replace(transition.state, seen=seen, looks=looks))
     transition = _reviewed(transition, updating.planning, findings, None)
-    for gone, lived_s in updating.gone:
+    for gone, lived_s in _deaths(transition.state, updating):
         transition = intake.died(transition, gone, lived_s)
     return _prepared(transition)
+
+
+def _deaths(state: State, updating: Updating) -> list[tuple[UnitGone, float | None]]:
+    """The new units that have died in an update, with how long each lived; None: blameless, also by an edit since."""
+    outdated = _outdated(state, updating)
+    return [(gone, None if gone.transformation in outdated else lived_s) for gone, lived_s in updating.gone]
+
+
+def _outdated(state: State, updating: Updating) -> frozenset[str]:
+    """The transformations that an update starts as they were before an edit: its failures say nothing about them."""
+    planned, now = updating.planning.world.environment.transformation, state.version.world.environment.transformation
+    labels = {unit.transformation for unit in updating.change_set.started} & planned.keys() & now.keys()
+    return frozenset(label for label in labels if not can_run_as(planned[label], now[label]))
 
 
 def _failed(transition: Transition, updating: Updating, error: Exception) -> tuple[Transition, UpdateFailed]:
@@ -387,7 +402,8 @@ def _failed(transition: Transition, updating: Updating, error: Exception) -> tup
             failed = UpdateFailed(str(error), is_stale=True)
         case errors.NoSourceError(transformations=labels, cause=cause):
             failed = UpdateFailed(str(error), labels)
-            for label in labels:
+            outdated = _outdated(transition.state, updating)
+            for label in [label for label in labels if label not in outdated]:
                 situation = transition.state.situation
                 refusing = situation.back_offs.refusing(label, cause)
                 transition = transition.situated(replace(situation, back_offs=refusing)).telling_back_off(label)
@@ -406,10 +422,11 @@ def _failed(transition: Transition, updating: Updating, error: Exception) -> tup
 def _postponed(transition: Transition, units: tuple[str, ...]) -> tuple[Transition, tuple[str, ...]]:
     """Postpone the transformations whose units were starting as the update was abandoned. Returns their labels too."""
     situation, until_s = transition.state.situation, transition.at_s + transition.state.policy.postpone_s
-    places = {place for unit in units if (place := situation.place_of(unit)) is not None}
-    for place in places:
+    world = transition.state.version.world.environment
+    starting = [running for unit in units if (running := situation.units.get(unit)) is not None]
+    for place in {running.place for running in starting if not is_outdated(running, world)}:
         situation = replace(situation, back_offs=situation.back_offs.postponing(place, until_s))
-    return transition.situated(situation), tuple(sorted({place.label for place in places}))
+    return transition.situated(situation), tuple(sorted({running.place.label for running in starting}))
 
 
 def _blamed(
@@ -417,17 +434,16 @@ def _blamed(
 ) -> tuple[Transition, tuple[str, ...]]:
     """Blame the transformations whose units did not start. Returns their labels too."""
     labels = [gone.transformation for gone, _ in updating.gone]
-    for gone, lived_s in updating.gone:
+    for gone, lived_s in _deaths(transition.state, updating):
         if lived_s is not None:
             transition = transition.blamed(Place(gone.transformation, gone.host), lived_s, gone.cause, is_costly=True)
     world = transition.state.version.world.environment
     for unit in units:
         running = transition.state.situation.units.get(unit)
-        if running is not None and running.transformation.label not in labels:  # it was too slow, but has not died
-            place = Place(running.transformation.label, running.host)
+        if running is not None and running.place.label not in labels:  # it was too slow, but has not died
             if not is_outdated(running, world):
-                transition = transition.blamed(place, 0.0, cause, is_costly=True)
-            labels.append(place.label)
+                transition = transition.blamed(running.place, 0.0, cause, is_costly=True)
+            labels.append(running.place.label)
     return transition, tuple(sorted(set(labels)))
 
 

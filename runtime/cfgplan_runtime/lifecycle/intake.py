@@ -349,8 +349,7 @@ def _given_up(transition: Transition, unit: str, cause: str) -> Transition:
     if running is None or unit in failing:
         return transition
     if not is_outdated(running, transition.state.version.world.environment):
-        place = Place(running.transformation.label, running.host)
-        transition = transition.blamed(place, transition.at_s - running.since_s, cause)
+        transition = transition.blamed(running.place, transition.at_s - running.since_s, cause)
     return transition.situated(replace(transition.state.situation, failing=failing | {unit}))
 
 

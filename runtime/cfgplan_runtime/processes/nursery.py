@@ -261,10 +261,13 @@ def _tell(control: ControlConnection[messages.ToChild], trouble: messages.Troubl
 def _rehearse_fork() -> None:
     """Call the functions that Python itself calls in each child, unless a thread of a preloaded module runs: they would
     mark it as ended. Then seed numpy, as a child does.
+
+    What they raise is ignored, as in a fork: a preloaded module may have given a log handler another kind of lock.
     """
     if threading.active_count() == 1:
         for module, name in _CALLED_AFTER_FORK:
-            getattr(module, name, bool)()
+            with contextlib.suppress(Exception):
+                getattr(module, name, bool)()
     random.seed()
     _seed_numpy()
 

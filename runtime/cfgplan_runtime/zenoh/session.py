@@ -197,7 +197,7 @@ def _ways(connect: str | list[str] | None, listen: str | list[str] | None) -> tu
 
 def _endpoints(said: str | list[str] | None) -> tuple[str, ...]:
     """Endpoints as they are said. Raises InputError."""
-    found = () if said is None else (said,) if isinstance(said, str) else tuple(said)
+    found = () if said is None else tuple(said) if isinstance(said, list) else (said,)
     for each in found:
         if not isinstance(each, str) or _ENDPOINT.fullmatch(each) is None:
             raise InputError.of(f"`{each}` is not an endpoint of Zenoh", mend="write tcp/HOST:PORT or tls/HOST:PORT")
