@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
 from pathlib import Path
 
@@ -35,6 +36,12 @@ def test_blocks_that_are_taken_after_gaps_were_filled_lie_in_few_pages() -> None
     taken = fill_gaps()
     assert pages() < 10
     assert len(taken) > 400
+
+
+def test_no_memory_is_taken_from_an_allocator_that_has_no_pools() -> None:
+    code = "from cfgplan_runtime.children.rehearsal import fill_gaps; print(len(fill_gaps()))"
+    took = subprocess.check_output([sys.executable, "-c", code], env={**os.environ, "PYTHONMALLOC": "malloc"}, text=True)
+    assert took == "0\n"
 
 
 def test_each_unit_has_random_numbers_of_its_own(run_units: StartRuntime) -> None:

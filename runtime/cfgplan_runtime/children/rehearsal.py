@@ -25,7 +25,7 @@ _TIMES = 20
 _POOL, _POOL_HEAD, _LARGEST_BLOCK = 16_384, 48, 512
 """Bytes of a pool of Python's allocator, of its head, and of its largest blocks. All blocks of a pool have one size."""
 _MOST_TAKEN = 1 << 20
-"""With another allocator, at most this many bytes are taken in blocks of one size."""
+"""At most this many bytes are taken in blocks of one size."""
 
 
 def unchanged(x: object) -> object:
@@ -62,7 +62,12 @@ def rehearse(begin: Callable[[], None]) -> None:
 
 
 def fill_gaps() -> list[bytes]:
-    """Take the free blocks of pools that are in use. Returns them in a list; they are free again once it is deleted."""
+    """Take the free blocks of pools that are in use. Returns them in a list; they are free again once it is deleted.
+
+    Returns an empty list if Python uses an allocator without pools (`PYTHONMALLOC=malloc`).
+    """
+    if not sys.getallocatedblocks():
+        return []
     gc.collect()  # empties Python's lists of free objects
     taken = list[bytes]()
     head = sys.getsizeof(b"")
