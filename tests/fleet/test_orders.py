@@ -9,6 +9,7 @@ from typing import Any, cast
 import msgspec
 import pytest
 from cfgplan_runtime.children.messages import ImportUnused
+from cfgplan_runtime.fleet import orders
 from cfgplan_runtime.fleet.agent import Agent
 from cfgplan_runtime.fleet.links import Lives
 from cfgplan_runtime.fleet.orders import (
@@ -23,6 +24,7 @@ from cfgplan_runtime.fleet.orders import (
     ReliableChannel,
     Session,
     StopOrder,
+    digest_of_fields,
     event_of,
     report_of,
 )
@@ -98,6 +100,10 @@ class SingOrder(msgspec.Struct, tag=True):
     unit: str
 
 
+def greeting_of(version: str, fields: str = "") -> GreetOrder:
+    return GreetOrder(True, b"", version, fields or digest_of_fields())
+
+
 LATER = Session(2, "cdef", 1, SESSION.life)
 
 
@@ -134,7 +140,7 @@ def said_in_turn(agent: Agent, session: Session, *batches: list[msgspec.Struct])
 def test_an_agent_refuses_all_orders_that_come_with_one_that_it_can_not_read_and_says_so_again() -> None:
     wire, said = Wire(), list[str]()
     agent = made_agent(wire, said.append)
-    greeting: list[msgspec.Struct] = [GreetOrder(True, b"", "9.9.9")]
+    greeting: list[msgspec.Struct] = [greeting_of("9.9.9")]
     say_all(agent, SESSION, greeting, [StopOrder("a.1"), SingOrder("a.1"), StopOrder("b.1")], [StopOrder("c.1")])
     assert list(agent._orders) == []
     assert agent._channel is None, "another manager may take over"
@@ -145,26 +151,53 @@ def test_an_agent_refuses_all_orders_that_come_with_one_that_it_can_not_read_and
     assert all(word in told for word in ("9.9.9", f"this agent has cfgplan {__version__}", "install the same version"))
 
 
+def test_an_agent_refuses_a_manager_whose_messages_have_other_fields_before_it_obeys_any_order() -> None:
+    wire, said = Wire(), list[str]()
+    agent = made_agent(wire, said.append)
+    say_all(agent, SESSION, [greeting_of(__version__, "0123456789abcdef"), StopOrder("a.1")])
+    assert list(agent._orders) == []
+    assert agent._channel is None
+    (refusal,) = {payload.decode() for kind, _, payload in wire.put if kind == REFUSE}
+    assert refusal == f"version {__version__} their messages differ"
+    (told,) = said
+    assert f"this agent has cfgplan {__version__}" in told and "install the same version" in told
+
+
+def test_a_field_more_or_of_another_type_is_noticed_and_another_docstring_is_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def digest_with(**fields: object) -> str:
+        order = msgspec.defstruct("StopOrder", list(fields.items()), tag=True, namespace={"__doc__": doc})
+        monkeypatch.setattr(orders, "Order", order)
+        return digest_of_fields.__wrapped__()
+
+    doc = "Stop a unit."
+    known = digest_with(unit=str)
+    assert len({known, digest_with(unit=str, after=str), digest_with(unit=bytes)}) == 3
+    doc = "End a unit."
+    assert digest_with(unit=str) == known
+
+
 def test_an_agent_stays_with_its_manager_if_it_can_not_read_the_orders_of_a_later_one() -> None:
     agent = made_agent(Wire())
-    say_all(agent, SESSION, [GreetOrder(True, b"", __version__)])
+    say_all(agent, SESSION, [greeting_of(__version__)])
     channel = agent._channel
     say_all(agent, LATER, [SingOrder("a.1")])
     assert agent._channel is channel is not None
     assert (agent._superseded, agent._held.term) == ({}, 0)
-    assert agent._orders.popleft() == GreetOrder(True, b"", __version__)
+    assert agent._orders.popleft() == greeting_of(__version__)
     later = LATER._replace(greeting=2)
-    say_all(agent, later, [GreetOrder(True, b"", __version__)])
+    say_all(agent, later, [greeting_of(__version__)])
     assert agent._channel is not None and agent._channel.session == later
 
 
 def test_a_manager_is_to_greet_again_if_the_later_one_that_took_over_gives_an_order_that_can_not_be_read() -> None:
     wire = Wire()
     agent = made_agent(wire)
-    greeting: list[msgspec.Struct] = [GreetOrder(True, b"", __version__)]
+    greeting: list[msgspec.Struct] = [greeting_of(__version__)]
     earlier = said_in_turn(agent, SESSION, greeting, [StopOrder("a.1")])
     next(earlier)
-    say_all(agent, LATER, [GreetOrder(True, b"", "9.9.9")], [SingOrder("a.1")])
+    say_all(agent, LATER, [greeting_of("9.9.9")], [SingOrder("a.1")])
     wire.put.clear()
     next(earlier)
     assert [payload.decode() for kind, _, payload in wire.put if kind == REFUSE] == [f"{LATER.term} 0"]

@@ -305,3 +305,19 @@ def test_units_run_on_if_their_agent_can_not_read_an_order_and_the_run_says_what
             with fleet.runtime(source()) as later:
                 assert later.environment.units == (one,)
                 assert fleet.pids("count") == [pid]
+
+
+def test_a_run_whose_messages_have_other_fields_says_so_and_the_agent_serves_the_next_run(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with small_fleet("r1") as fleet:
+        with monkeypatch.context() as other:
+            other.setattr(orders, "digest_of_fields", lambda: "0123456789abcdef")
+            with fleet.runtime(source()) as runtime:
+                eventually(lambda: bool(seen(runtime, HostLost)))
+                cause = seen(runtime, HostLost)[0].cause
+                assert f"its agent has cfgplan {__version__} from other sources" in cause
+                assert "install the same version" in cause
+        with fleet.runtime(source()) as runtime:
+            runtime.apply(ChangeSet(started=(unit("count.1", "r1"),)))
+            assert len(fleet.pids("count")) == 1

@@ -40,7 +40,9 @@ def test_blocks_that_are_taken_after_gaps_were_filled_lie_in_few_pages() -> None
 
 def test_no_memory_is_taken_from_an_allocator_that_has_no_pools() -> None:
     code = "from cfgplan_runtime.children.rehearsal import fill_gaps; print(len(fill_gaps()))"
-    took = subprocess.check_output([sys.executable, "-c", code], env={**os.environ, "PYTHONMALLOC": "malloc"}, text=True)
+    took = subprocess.check_output(
+        [sys.executable, "-c", code], env={**os.environ, "PYTHONMALLOC": "malloc"}, text=True
+    )
     assert took == "0\n"
 
 

@@ -212,7 +212,8 @@ class Agent:
                 self._owes_welcome = False
                 run = str(self._backend.run_folder.path)
                 self._held.now_s = time.monotonic()
-                self._say(orders.Welcome(run, self._held, self._heartbeats.places, dict(self._states), __version__))
+                beats, states = self._heartbeats.places, dict(self._states)
+                self._say(orders.Welcome(run, self._held, beats, states, __version__, orders.digest_of_fields()))
                 if self._lost:
                     self._say(orders.report_of(events.ElementsLost(self.name, self._lost)))
                     self._lost = 0
@@ -294,7 +295,7 @@ class Agent:
             theirs = f"cfgplan {error.theirs}" if error.theirs else "an unknown version of cfgplan"
             self._tell_user(
                 f"the orders of a run that has {theirs} are refused, since this agent has cfgplan {__version__} and "
-                f"can't read one of them ({error}): install the same version on both, and start this agent again"
+                f"can't read them ({error}): install the same version on both, and start this agent again"
             )
         if self._channel is not None and self._channel.session == session:
             self._channel = None

@@ -98,8 +98,9 @@ class FleetBackend:
             raise
         for one in happened:
             self._take(one)
-        joined = {one.host.name for one in happened if isinstance(one, presence.AgentJoined)}
-        self._events += [events.HostLost(host, _NO_AGENT) for host in hosts if host not in joined]
+        gone = {one.host.name: one.cause for one in happened if isinstance(one, presence.AgentGone)}
+        absent = [host for host in hosts if host not in self._presence.there]
+        self._events += [events.HostLost(host, gone.get(host, _NO_AGENT)) for host in absent]
 
     @property
     def id(self) -> str:

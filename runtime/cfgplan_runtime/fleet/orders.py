@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from contextlib import suppress
+from functools import cache
+from hashlib import sha256
 from typing import Generic, Literal, NamedTuple, TypeAlias, TypeVar
 
 import msgspec
@@ -62,12 +65,14 @@ def read_session(text: str) -> Session | None:
 class GreetOrder(msgspec.Struct, tag=True):
     """The first order: end all units that the manager does not adopt (`adopts`), then answer Welcome.
 
-    `secret` signs the heartbeats of the session. `version` is that of the manager's cfgplan.
+    `secret` signs the heartbeats of the session. `version` is that of the manager's cfgplan, `fields` its
+    `digest_of_fields`.
     """
 
     adopts: bool
     secret: bytes = b""
     version: str = ""
+    fields: str = ""
 
 
 class ClockOrder(msgspec.Struct, tag=True):
@@ -318,7 +323,7 @@ class HeldState(msgspec.Struct):
 class Welcome(msgspec.Struct, tag=True):
     """The agent obeys from now on. `held` has its units, wires and topics, and `states` the last states by name;
     sockets of topics are in the folder `run`. It answers heartbeats at the addresses `beats`, written `HOST PORT`.
-    `version` is that of the agent's cfgplan.
+    `version` is that of the agent's cfgplan, `fields` its `digest_of_fields`.
     """
 
     run: str
@@ -326,6 +331,7 @@ class Welcome(msgspec.Struct, tag=True):
     beats: tuple[str, ...] = ()
     states: dict[str, HeldState] = {}
     version: str = ""
+    fields: str = ""
 
 
 class EventReport(msgspec.Struct, tag=True):
@@ -367,6 +373,17 @@ FromAgent: TypeAlias = Welcome | EventReport | UsageReport | ImportUnused
 _EVENTS = {kind.__name__: kind for kind in events.Event.__subclasses__()}
 
 
+@cache
+def digest_of_fields() -> str:
+    """Return a digest of all messages and events, and of the names, types and defaults of their fields.
+
+    A field that only one version of cfgplan knows could be read without its meaning, so ends of a session compare it.
+    """
+    _, kinds = msgspec.json.schema_components([Order, FromAgent, *_EVENTS.values()])
+    said = {name: {key: kind[key] for key in kind.keys() - {"description"}} for name, kind in kinds.items()}
+    return sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:16]
+
+
 def report_of(event: events.Event) -> EventReport:
     """An event as a message."""
     return EventReport(type(event).__name__, msgspec.Raw(msgspec.msgpack.encode(event)))
@@ -402,6 +419,7 @@ class _Versioned(msgspec.Struct):
     """The version in a message whose other fields may be unknown."""
 
     version: str = ""
+    fields: str = ""
 
 
 class ReliableChannel(Generic[Spoken]):
@@ -436,10 +454,14 @@ class ReliableChannel(Generic[Spoken]):
 
     def _read(self, payload: Buffer) -> list[Spoken]:
         if self.theirs is None:
-            self.theirs = ""
+            said = _Versioned()
             with suppress(msgspec.MsgspecError):
-                versions = (one.version for one in msgspec.msgpack.decode(payload, type=list[_Versioned]))
-                self.theirs = next(filter(None, versions), "")
+                said = next(
+                    (one for one in msgspec.msgpack.decode(payload, type=list[_Versioned]) if one.version), said
+                )
+            self.theirs = said.version
+            if said.version and said.fields != digest_of_fields():
+                raise OtherVersionError(said.version, "their messages differ")
         try:
             return self._decoder.decode(payload)
         except msgspec.MsgspecError as error:

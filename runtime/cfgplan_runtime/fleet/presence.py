@@ -145,7 +145,7 @@ class Presence:
         self._has_left = threading.Event()
         self._round_s = inf
         """When this process last handled what had arrived."""
-        self._left_alone: set[str] = set()
+        self._left_alone: dict[str, str] = {}
         """The ids of agents that are alive but can't be given orders."""
         self._refusing: list[HostState] = []
         """Hosts that were found to obey another manager, at the beginning."""
@@ -214,7 +214,9 @@ class Presence:
         for name in few:
             self._greet(name, self._seen.pop(name), "")
         refused_s = time.monotonic() + LEASE_S + sign_period_s()
-        while not self.there.keys() >= set(few) and time.monotonic() < max(end_s, refused_s) + _MARGIN_S:
+        while set(few) - self.there.keys() - set(self._left_alone.values()) and (
+            time.monotonic() < max(end_s, refused_s) + _MARGIN_S
+        ):
             self._hear_once(end_s + _MARGIN_S)
             if self._refusing and time.monotonic() > refused_s:
                 mend = "stop the other run first, or add --take-over"
@@ -357,7 +359,7 @@ class Presence:
         )
         now_s = time.monotonic()
         host = self._hosts[name] = HostState(name, life, channel, Pulse(now_s, now_s), new_secret())
-        channel.say(orders.GreetOrder(self._is_beginning, host.secret, __version__))
+        channel.say(orders.GreetOrder(self._is_beginning, host.secret, __version__, orders.digest_of_fields()))
 
     def _lose(self, host: HostState, cause: str) -> None:
         del self._hosts[host.name]
@@ -383,7 +385,7 @@ class Presence:
 
     def leave_alone(self, host: HostState, cause: str) -> None:
         """Lose a host whose agent is alive but can't be given orders, and do not greet that agent again."""
-        self._left_alone.add(host.life)
+        self._left_alone[host.life] = host.name
         if self._hosts.get(host.name) is host:
             self._lose(host, cause)
 
