@@ -1,9 +1,11 @@
 """The cost of a change of the planner: `python experiments/planning/guard.py BEFORE [AFTER]` for one or two checkouts.
 
 Each plan is made in a process of its own, which imports the planner first; CPU seconds of that process are taken. With
-two checkouts each instance is planned by one and by the other in turn. Prints a row for each instance, and for each
-family the geometric mean of the ratios. Ends with 1 if a cost, or the number of rewired or started units, differs
-although both prove it, if a proof is lost, or if a family is slower by more than a tenth.
+two checkouts each instance is planned by one and by the other in turn. Prints a row for each instance, with the gap
+between plan and bound where there is no proof. Prints for each family the geometric mean of the ratios of time, and, if
+one of the two has unproven plans, the ratio of their costs and their mean gaps. Ends with 1 if a cost, or the number of
+rewired or started units, differs although both prove it, if a proof is lost, or if a family is slower by more than a
+tenth.
 """
 
 from __future__ import annotations
@@ -18,9 +20,10 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from math import exp, log
 from pathlib import Path
 from random import Random
+from statistics import geometric_mean, mean
+from typing import NamedTuple
 
 sys.path.append(str(Path(__file__).parents[2]))
 from scale_suite import SCALE
@@ -93,8 +96,26 @@ FAMILIES = PLAIN | OTHERS
 """The hard ones are among `SCALE`: 2,000 with 3 targets, 1,000 with 5 and 60, two outputs, three inputs and cycles."""
 
 
-def measured(family: str, seed: int, limit_s: float) -> dict[str, object]:
-    """Return CPU seconds for all plans of an instance, and the proofs of the last."""
+class Figures(NamedTuple):
+    """The figures of an instance: CPU seconds for all its plans, and of the last plan the status, the cost, the numbers
+    of rewired and started units, and the gap between cost and bound (0 if proven, 1 without a plan).
+    """
+
+    cpu_s: float
+    is_proven: bool
+    gap: float
+    status: str
+    cost_us: int | None
+    counts: list[int] | None
+
+    @property
+    def answer(self) -> tuple[str, int | None, list[int] | None]:
+        """The part of a proven plan that may not change."""
+        return self.status, self.cost_us, self.counts
+
+
+def measured(family: str, seed: int, limit_s: float) -> Figures:
+    """Plan an instance in this process."""
     from cfgplan.planners.cpsat import PlannerSession
 
     made, session = FAMILIES[family](seed), PlannerSession()
@@ -107,40 +128,51 @@ def measured(family: str, seed: int, limit_s: float) -> dict[str, object]:
     for problem in made:
         found = session.plan(problem, time_limit_s=limit_s)
     took_s, changes = time.process_time() - began, found.change_set
-    counts = (len(changes.rewired), len(changes.started)) if changes is not None else None
+    counts = [len(changes.rewired), len(changes.started)] if changes is not None else None
     is_proven = found.status not in (Status.FEASIBLE, Status.UNKNOWN)
-    return {"cpu_s": took_s, "proven": is_proven, "result": [str(found.status), found.cost_us, counts]}
+    gap = 0.0 if is_proven else 1 - found.bound_us / found.cost_us if found.cost_us else 1.0
+    return Figures(took_s, is_proven, gap, str(found.status), found.cost_us, counts)
 
 
-def in_checkout(checkout: Path, family: str, seed: int, limit_s: float) -> dict[str, object]:
-    """Return the figures of `measured` with the planner of a checkout."""
+def in_checkout(checkout: Path, family: str, seed: int, limit_s: float) -> Figures:
+    """Return the figures of an instance with the planner of a checkout."""
     setting = {**os.environ, "PYTHONPATH": os.pathsep.join([str(checkout), str(checkout / "runtime")])}
     command = [sys.executable, __file__, "--one", family, "--seeds", str(seed), "--limit", str(limit_s), str(checkout)]
-    answer = subprocess.run(command, env=setting, capture_output=True, text=True, check=True).stdout
-    found: dict[str, object] = json.loads(answer.splitlines()[-1])
-    return found
+    answer = subprocess.run(command, env=setting, stdout=subprocess.PIPE, text=True, check=True).stdout
+    return Figures(*json.loads(answer.splitlines()[-1]))
 
 
 def rows(checkouts: list[Path], families: list[str], seeds: list[int], limit_s: float) -> Iterator[str]:
     """Yield a row for each instance, then one for each family; raises SystemExit at the end if a check fails."""
-    ratios: dict[str, list[float]] = defaultdict(list)
+    pairs: dict[str, list[tuple[Figures, Figures]]] = defaultdict(list)
     bad = []
     for family in families:
         for seed in seeds:
             found = [in_checkout(checkout, family, seed, limit_s) for checkout in checkouts]
-            cells = [f"{one['cpu_s']:.3f}{'' if one['proven'] else ' unproven'}" for one in found]
+            cells = [f"{one.cpu_s:.3f}" + ("" if one.is_proven else f", gap {one.gap:.1%}") for one in found]
             yield f"| {family} | {seed} | {' | '.join(cells)} |"
             before, after = found[0], found[-1]
-            if before["proven"] and (not after["proven"] or before["result"] != after["result"]):
-                bad.append(f"{family} {seed}: {before['result']} before, {after['result']} after")
-            ratios[family].append(float(str(after["cpu_s"])) / max(1e-4, float(str(before["cpu_s"]))))
-    for family, these in ratios.items() if len(checkouts) > 1 else ():
-        mean = exp(sum(map(log, these)) / len(these))
-        yield f"{family}: {mean:.2f}"
-        if mean > SLOWER:
-            bad.append(f"{family} takes {mean:.2f} times as long")
+            if before.is_proven and before.answer != after.answer:
+                bad.append(f"{family} {seed}: {before.answer} before, {after.answer} after")
+            pairs[family].append((before, after))
+    for family, these in pairs.items() if len(checkouts) > 1 else ():
+        took = geometric_mean([after.cpu_s / max(1e-4, before.cpu_s) for before, after in these])
+        yield f"{family}: {took:.2f}{_without_proof(these)}"
+        if took > SLOWER:
+            bad.append(f"{family} takes {took:.2f} times as long")
     if bad:
         sys.exit("\n".join(bad))
+
+
+def _without_proof(pairs: list[tuple[Figures, Figures]]) -> str:
+    """Return how costs and gaps compare where one of the two has no proof; empty if there is no such plan."""
+    unproven = [(before, after) for before, after in pairs if not (before.is_proven and after.is_proven)]
+    if not unproven:
+        return ""
+    costs = [after.cost_us / before.cost_us for before, after in unproven if before.cost_us and after.cost_us]
+    gaps = mean(before.gap for before, _ in unproven), mean(after.gap for _, after in unproven)
+    told = f"gap {gaps[0]:.1%} before and {gaps[1]:.1%} after, where one has no proof ({len(unproven)})"
+    return f", costs {geometric_mean(costs):.4f} and {told}" if costs else f", {told}"
 
 
 def main() -> None:
