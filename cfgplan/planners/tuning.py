@@ -168,7 +168,7 @@ class Near:
     times: int = row(8, "times", "Needs are chosen so often where one choice gives no missed landmark.", LIBRARIES)
     share: float = row(0.5, "share", "They take at most this part of the time that is left.", LIBRARIES)
     hopeless: float = row(0.08, "share of the cost", "From this gap on the solver has little hope.", LIBRARIES)
-    many: int = row(600, "labels", "With fewer labels left the solver has hope at any gap.", LIBRARIES)
+    many: int = row(1500, "labels", "With fewer labels left the solver has hope at any gap.", LIBRARIES)
     hopeless_share: float = row(0.9, "share", "They then take this part of the time.", LIBRARIES)
 
 

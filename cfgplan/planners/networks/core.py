@@ -28,8 +28,8 @@ NEVER: Final = 2**60
 """A cost that no sum of real costs reaches."""
 MOST_DEMANDS = 4
 """A group with more different demands has multi-facts for single ones, pairs and all together only."""
-MOST_LISTED = 600
-"""Up to this number of labels and facts, lists are followed one by one; numpy takes longer to import than that."""
+MOST_LISTED = 50
+"""Up to this number of labels and facts, lists serve better than arrays."""
 MOST_PASSES = 60
 """A core that takes more passes than this is deep: its facts are better followed one by one."""
 
