@@ -28,7 +28,7 @@ from cfgplan.planners.networks.core import Core, Rows
 from cfgplan.planners.networks.greedy import first_plan, is_plan
 from cfgplan.planners.networks.network import costs
 from cfgplan.planners.solving.clock import Clock
-from cfgplan.planners.tuning import Close, Near, Tuning
+from cfgplan.planners.tuning import Close, Near, Rise, Tuning
 from cfgplan.planning import Problem, Status
 from cfgplan.validity import plan_violations
 from experiments.families.random_library import random_library
@@ -157,6 +157,16 @@ def test_a_plan_that_needs_the_solver_is_the_same_every_time() -> None:
 EVERYWHERE = Near(targets=1, gap=0.0, hopeless=0.0, many=0, fewest=1, in_vain=200.0)
 
 
+def test_closing_goes_on_if_the_time_left_is_too_short_for_the_solver() -> None:
+    problem = random_library(5, transformations=300, targets=12)
+    close, values = Close(pace=1.0), []
+    for patience in (0.0, 1e9):
+        both = first_closing(problem, tuning=Tuning(close=close, rise=Rise(last_patience=patience)))
+        both.go_on(Clock(1000.0))
+        values.append(both.bound.value)
+    assert values[0] < values[1]
+
+
 @fewer
 @given(problems(special=False))
 def test_related_targets_planned_anew_make_a_plan_no_dearer_and_leave_it_a_plan(problem: Problem) -> None:
@@ -170,12 +180,43 @@ def test_related_targets_planned_anew_make_a_plan_no_dearer_and_leave_it_a_plan(
     assert is_plan(stage.network, set(both.plan.tolist()))
 
 
-def first_closing(problem: Problem, near: Near = EVERYWHERE) -> GapClosing:
+def first_closing(problem: Problem, near: Near = EVERYWHERE, tuning: Tuning | None = None) -> GapClosing:
     """The closing of a problem, from a greedy plan and without landmarks."""
     network = Structure.of(problem, None, Clock()).network
     cost = np.array([start_cost_us(t, problem.horizon_s) for t in network.transformations], np.int64)
     plan = np.array(sorted(first_plan(network, cost, 0, Clock()) or ()), np.int64)
-    return GapClosing(network, Bound(network.core, cost), cost, plan, 1, Tuning(near=near))
+    return GapClosing(network, Bound(network.core, cost), cost, plan, 1, tuning or Tuning(near=near))
+
+
+def test_neighbourhoods_grow_towards_all_targets_while_they_are_searched_soon() -> None:
+    near = replace(EVERYWHERE, growth=2.0)
+    both, sizes = first_closing(random_library(5, transformations=300, targets=30), near), list[int]()
+    replan = Neighbourhoods._near
+
+    def seen(self: Neighbourhoods, free: set[int], clock: Clock) -> None:
+        sizes.append(len(free))
+        replan(self, free, clock)
+
+    search = both._neighbourhoods(1.0)
+    with mock.patch.object(Neighbourhoods, "_near", seen):
+        for _ in range(15):
+            search.go_on(Clock())
+    wanted = len(both.bound.core.needs[both.bound.core.goal])
+    assert sizes[0] == 1 and min(sizes[-5:]) >= wanted / 2 and max(sizes) > 24
+
+
+def test_a_kernel_has_the_labels_of_the_plan_and_those_used_more_than_a_fraction() -> None:
+    near = replace(EVERYWHERE, kernels=(0.5, 0.0))
+    both = first_closing(random_library(5, transformations=300, targets=12), near)
+    both.go_on(Clock())
+    plan, fractions = set(both.plan.tolist()), both._fractions
+    search = both._neighbourhoods(1.0)
+    with mock.patch.object(Neighbourhoods, "_cheapest", return_value=frozenset()) as cheapest:
+        search.go_on(Clock())
+    kernels = [call.args[0].core.labels.tolist() for call in cheapest.call_args_list]
+    for kernel, least in zip(kernels, near.kernels, strict=True):
+        assert set(kernel) <= plan.union(np.flatnonzero(fractions > least).tolist())
+    assert len(kernels[0]) < len(kernels[1])
 
 
 @pytest.mark.parametrize("seed", [3, 4])

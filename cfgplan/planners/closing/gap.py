@@ -29,6 +29,7 @@ class GapClosing:
         self.bound = bound
         self._tuning = own = tuning.close
         self._near = tuning.near
+        self._solving = tuning.rise.last_patience
         self._network = network
         self._cost = cost
         self._step = step
@@ -55,20 +56,28 @@ class GapClosing:
         return self.bound.value > self.limit - self._step
 
     @property
-    def _patience(self) -> int:
-        return self._tuning.patience if self.bound.value < (1 - self._tuning.far) * self.limit else 0
+    def _is_far(self) -> bool:
+        """Whether the gap is so large that the solver has little hope, however few labels are left."""
+        return self._gap > self._tuning.far
+
+    def _is_beyond_the_solver(self, clock: Clock) -> bool:
+        """Whether the solver has little hope: the gap is large, or labels are too many for the time that is left."""
+        return self._is_far or not clock.has_steps(self._solving * self._left**1.5)
 
     def go_on(self, clock: Clock) -> None:
         """Raise the bound and look for a cheaper plan until they meet or hardly move, or the work is used up."""
         own = self._tuning
         took = self._begin(clock)
         steps = own.work * self._left**1.5
-        while took < steps * (1 + self._patience) and not self.is_closed and self._can_be_built(clock):
+        while not self.is_closed and self._can_be_built(clock):
+            is_patient = self._is_beyond_the_solver(clock)
+            if took >= steps * (1 + own.patience * is_patient):
+                break
             before = self.bound.value
             rounds = min(own.rounds, max(own.fewest_rounds, own.round_labels // self.bound.core.goal))
             these = self._round(steps, rounds, clock)
             self._repair(own.repairs * these, clock)
-            least = 0.0 if self._patience else own.pace / own.rounds * rounds * (self.limit - before)
+            least = 0.0 if is_patient else own.pace / own.rounds * rounds * (self.limit - before)
             if self.bound.value - before <= least:
                 break
             took += (1 + own.repairs) * these
@@ -84,7 +93,7 @@ class GapClosing:
         if not self._has_many_targets or self._gap < near.gap or not self._can_be_built(clock):
             return
         usual, most = _part(clock, near.share), _part(clock, near.hopeless_share)
-        share, search = near.promising, self._neighbourhoods(near.promising)
+        share, search, begun = near.promising, self._neighbourhoods(near.promising), self.limit
         near_s, raised_s = 0.0, 0.0
         while not self.is_closed and not (most if self._is_hopeless else usual).is_over():
             if self._is_hopeless and raised_s < near_s:
@@ -96,8 +105,8 @@ class GapClosing:
                 near_s += search.took_s - before_s
                 self._repairs.take(set(search.labels.tolist()).union(self._network.pinned))
             elif self._is_hopeless and share < 1:
-                share *= near.wider
-                search = self._neighbourhoods(share)
+                share *= 1 if self.limit < begun else near.wider
+                search, begun = self._neighbourhoods(share), self.limit
             elif self._is_hopeless and raised_s < np.inf:
                 near_s = np.inf  # landmarks only
             else:
@@ -171,7 +180,7 @@ class GapClosing:
         """Raise the bound by up to `most` linear programs. Returns about how many steps they took."""
         own, took = self._tuning, 0.0
         program, landmarks, separator = self._restricted()
-        times = own.times if self._patience or self.bound.core.goal >= own.many else 1
+        times = own.times if self.bound.core.goal >= own.many else own.far_times if self._is_far else 1
         for _ in range(most):
             fractions = program.solve(clock.left_s())
             if fractions is None or clock.is_over():
