@@ -121,6 +121,10 @@ class Close:
     patience: int = row(100, "times", "Closing may take this much more work if the gap is that large.", LIBRARIES)
     many: int = row(3000, "labels", "From here on a linear program takes long: its rounds get more cuts.", LIBRARIES)
     times: int = row(16, "times", "A round then chooses needs this often, each time for other cuts.", LIBRARIES)
+    part: float = row(
+        0.25, "share", "From `many` labels on, those of good plans come first if they are fewer.", LIBRARIES
+    )
+    likely: int = row(12, "linear programs", "So many among these come before the next one of all.", LIBRARIES)
     far_times: int = row(4, "times", "So often with fewer labels if the gap is that large.", LIBRARIES)
     entries: int = row(3, "entries/link", "The first linear program has about this many.", TIMED)
     trust: float = row(0.8, "share", "Repairs reckon labels cheaper by this part of their fraction.", LIBRARIES)
@@ -158,7 +162,10 @@ class Near:
     look: float = row(0.005, "the engine's s", "The bound and the model of one take so long: a fixed part.", TIMED)
     link: float = row(3e-6, "the engine's s/link", "The same for each link.", TIMED)
     kernels: tuple[float, ...] = row(
-        (0.3, 0.1, 0.0), "labels", "Labels used by more than this are searched first, in turn.", LIBRARIES
+        (0.3, 0.1, 0.0),
+        "labels",
+        "Labels used more than this come first, in turn; if the solver has hope, the last only.",
+        LIBRARIES,
     )
     kernel: float = row(15.0, "the engine's us/label^1.5", "Each of these searches may take so long.", LIBRARIES)
     small: int = row(1000, "labels", "Below it, probing takes longer than it saves.", LIBRARIES)

@@ -36,19 +36,19 @@ from experiments.families.random_library import random_library
 LONG = Tuning(close=Close(work=1e6))
 
 
-def closing(stage: Stage) -> GapClosing:
+def closing(stage: Stage, close: Close) -> GapClosing:
     plan = first_plan(stage.network, stage.cost, 0, Clock())
     assert plan is not None
     bound = Bound(stage.network.core, stage.cost)
-    short = Tuning(close=Close(work=1e3))
-    return GapClosing(stage.network, bound, stage.cost, np.array(sorted(plan), np.int64), 1, short)
+    return GapClosing(stage.network, bound, stage.cost, np.array(sorted(plan), np.int64), 1, Tuning(close=close))
 
 
+@pytest.mark.parametrize("close", [Close(work=1e3), Close(work=1e3, many=0, part=2.0)])
 @fewer
-@given(problems(special=False))
-def test_the_bound_stays_below_the_optimum_and_the_plan_above(problem: Problem) -> None:
+@given(problem=problems(special=False))
+def test_the_bound_stays_below_the_optimum_and_the_plan_above(close: Close, problem: Problem) -> None:
     stage = Stage(problem)
-    both = closing(stage)
+    both = closing(stage, close)
     both.go_on(Clock())
     assert both.bound.value <= (stage.plan.cost_us or 0) <= both.limit
     assert is_plan(stage.network, set(both.plan.tolist()))
@@ -157,14 +157,15 @@ def test_a_plan_that_needs_the_solver_is_the_same_every_time() -> None:
 EVERYWHERE = Near(targets=1, gap=0.0, hopeless=0.0, many=0, fewest=1, in_vain=200.0)
 
 
-def test_closing_goes_on_if_the_time_left_is_too_short_for_the_solver() -> None:
+def test_closing_goes_on_if_the_time_left_is_too_short_for_the_solver_and_no_targets_are_replanned() -> None:
     problem = random_library(5, transformations=300, targets=12)
-    close, values = Close(pace=1.0), []
-    for patience in (0.0, 1e9):
-        both = first_closing(problem, tuning=Tuning(close=close, rise=Rise(last_patience=patience)))
+    values = []
+    for patience, targets in ((0.0, 13), (1e9, 13), (1e9, 12)):
+        tuning = Tuning(close=Close(pace=1.0), rise=Rise(last_patience=patience), near=Near(targets=targets))
+        both = first_closing(problem, tuning=tuning)
         both.go_on(Clock(1000.0))
         values.append(both.bound.value)
-    assert values[0] < values[1]
+    assert values[0] == values[2] < values[1]
 
 
 @fewer
@@ -186,6 +187,21 @@ def first_closing(problem: Problem, near: Near = EVERYWHERE, tuning: Tuning | No
     cost = np.array([start_cost_us(t, problem.horizon_s) for t in network.transformations], np.int64)
     plan = np.array(sorted(first_plan(network, cost, 0, Clock()) or ()), np.int64)
     return GapClosing(network, Bound(network.core, cost), cost, plan, 1, tuning or Tuning(near=near))
+
+
+def test_linear_programs_of_a_part_find_landmarks_that_the_one_of_all_labels_misses() -> None:
+    problem = random_library(5, transformations=300, targets=12)
+    both, best = first_closing(problem), PlannerSession().plan(problem)
+    assert best.status is Status.OPTIMAL and best.change_set is not None
+    network = Structure.of(problem, None, Clock()).network
+    used = {network.number[unit.transformation] for unit in best.change_set.started}
+    program, landmarks, _ = both._restricted()
+    fractions = program.solve(None)
+    assert fractions is not None
+    both._charge(program, landmarks)
+    _, found = both._likely_landmarks(both._promising(0.03), Clock())
+    assert min(one.hit_by(fractions) for one in found) < 0.9
+    assert not any(used.isdisjoint(both.bound.core.labels[one.members].tolist()) for one in found)
 
 
 def test_neighbourhoods_grow_towards_all_targets_while_they_are_searched_soon() -> None:
