@@ -82,7 +82,7 @@ class Rise:
     """Bounds by landmarks."""
 
     landmarks: int = row(20, "landmarks", "After this many new ones reduced costs restrict the network.", LIBRARIES)
-    patience: float = row(2.0, "steps/label^1.5", "The gap must close in so much work, if closing follows.", LIBRARIES)
+    patience: float = row(50.0, "steps/label", "The gap must close in so much work, if closing follows.", LIBRARIES)
     last_patience: float = row(20.0, "steps/label^1.5", "The same, if the solver follows at once.", LIBRARIES)
     landmark: float = row(150.0, "steps", "The work for a landmark: a fixed part.", TIMED)
     need: float = row(0.04, "steps/need", "The work for a landmark: for each need in the network.", TIMED)
@@ -120,7 +120,12 @@ class Close:
     )
     patience: int = row(100, "times", "Closing may take this much more work if the gap is that large.", LIBRARIES)
     many: int = row(3000, "labels", "From here on a linear program takes long: its rounds get more cuts.", LIBRARIES)
-    times: int = row(4, "times", "A round then chooses needs this often, each time for other cuts.", LIBRARIES)
+    times: int = row(16, "times", "A round then chooses needs this often, each time for other cuts.", LIBRARIES)
+    part: float = row(
+        0.25, "share", "From `many` labels on, those of good plans come first if they are fewer.", LIBRARIES
+    )
+    likely: int = row(12, "linear programs", "So many among these come before the next one of all.", LIBRARIES)
+    far_times: int = row(4, "times", "So often with fewer labels if the gap is that large.", LIBRARIES)
     entries: int = row(3, "entries/link", "The first linear program has about this many.", TIMED)
     trust: float = row(0.8, "share", "Repairs reckon labels cheaper by this part of their fraction.", LIBRARIES)
     need: float = row(16.0, "steps/need", "The work for a round: for each need.", TIMED)
@@ -150,19 +155,22 @@ class Near:
     promising: float = row(0.03, "share of the gap", "Labels in plans so far above the bound are used.", LIBRARIES)
     wider: float = row(3.0, "times", "This share grows so much whenever they end.", LIBRARIES)
     fewest: int = row(4, "facts", "At least this many wanted facts are planned anew together.", LIBRARIES)
-    most: int = row(24, "facts", "At most this many are.", LIBRARIES)
-    growth: float = row(0.5, "facts", "So many more, or fewer, are, as the solver takes less or more.", LIBRARIES)
+    growth: float = row(1.1, "times", "So many times more, or fewer, are, as the solver takes less or more.", LIBRARIES)
     planned: float = row(0.5, "share", "So often what shares cost in the plan is drawn together.", LIBRARIES)
     used: float = row(0.02, "labels", "A linear program uses a label from this fraction on.", LIBRARIES)
     work: float = row(0.5, "the engine's s", "The solver may take so long for a neighbourhood.", LIBRARIES)
     look: float = row(0.005, "the engine's s", "The bound and the model of one take so long: a fixed part.", TIMED)
     link: float = row(3e-6, "the engine's s/link", "The same for each link.", TIMED)
-    kernel: float = row(
-        15.0, "the engine's us/label^1.5", "Labels that are used are searched so long first.", LIBRARIES
+    kernels: tuple[float, ...] = row(
+        (0.3, 0.1, 0.0),
+        "labels",
+        "Labels used more than this come first, in turn; if the solver has hope, the last only.",
+        LIBRARIES,
     )
+    kernel: float = row(15.0, "the engine's us/label^1.5", "Each of these searches may take so long.", LIBRARIES)
     small: int = row(1000, "labels", "Below it, probing takes longer than it saves.", LIBRARIES)
     in_vain: float = row(
-        30.0, "the engine's us/label^1.5", "Without hope, they end so long after the last cheaper plan.", LIBRARIES
+        12.0, "the engine's us/label^1.5", "Without hope, they end so long after the last cheaper plan.", LIBRARIES
     )
     soon: float = row(5.0, "the engine's us/label^1.5", "If the solver has hope, they end so long after it.", LIBRARIES)
     times: int = row(8, "times", "Needs are chosen so often where one choice gives no missed landmark.", LIBRARIES)

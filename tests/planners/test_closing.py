@@ -28,7 +28,7 @@ from cfgplan.planners.networks.core import Core, Rows
 from cfgplan.planners.networks.greedy import first_plan, is_plan
 from cfgplan.planners.networks.network import costs
 from cfgplan.planners.solving.clock import Clock
-from cfgplan.planners.tuning import Close, Near, Tuning
+from cfgplan.planners.tuning import Close, Near, Rise, Tuning
 from cfgplan.planning import Problem, Status
 from cfgplan.validity import plan_violations
 from experiments.families.random_library import random_library
@@ -36,19 +36,19 @@ from experiments.families.random_library import random_library
 LONG = Tuning(close=Close(work=1e6))
 
 
-def closing(stage: Stage) -> GapClosing:
+def closing(stage: Stage, close: Close) -> GapClosing:
     plan = first_plan(stage.network, stage.cost, 0, Clock())
     assert plan is not None
     bound = Bound(stage.network.core, stage.cost)
-    short = Tuning(close=Close(work=1e3))
-    return GapClosing(stage.network, bound, stage.cost, np.array(sorted(plan), np.int64), 1, short)
+    return GapClosing(stage.network, bound, stage.cost, np.array(sorted(plan), np.int64), 1, Tuning(close=close))
 
 
+@pytest.mark.parametrize("close", [Close(work=1e3), Close(work=1e3, many=0, part=2.0)])
 @fewer
-@given(problems(special=False))
-def test_the_bound_stays_below_the_optimum_and_the_plan_above(problem: Problem) -> None:
+@given(problem=problems(special=False))
+def test_the_bound_stays_below_the_optimum_and_the_plan_above(close: Close, problem: Problem) -> None:
     stage = Stage(problem)
-    both = closing(stage)
+    both = closing(stage, close)
     both.go_on(Clock())
     assert both.bound.value <= (stage.plan.cost_us or 0) <= both.limit
     assert is_plan(stage.network, set(both.plan.tolist()))
@@ -157,6 +157,17 @@ def test_a_plan_that_needs_the_solver_is_the_same_every_time() -> None:
 EVERYWHERE = Near(targets=1, gap=0.0, hopeless=0.0, many=0, fewest=1, in_vain=200.0)
 
 
+def test_closing_goes_on_if_the_time_left_is_too_short_for_the_solver_and_no_targets_are_replanned() -> None:
+    problem = random_library(5, transformations=300, targets=12)
+    values = []
+    for patience, targets in ((0.0, 13), (1e9, 13), (1e9, 12)):
+        tuning = Tuning(close=Close(pace=1.0), rise=Rise(last_patience=patience), near=Near(targets=targets))
+        both = first_closing(problem, tuning=tuning)
+        both.go_on(Clock(1000.0))
+        values.append(both.bound.value)
+    assert values[0] == values[2] < values[1]
+
+
 @fewer
 @given(problems(special=False))
 def test_related_targets_planned_anew_make_a_plan_no_dearer_and_leave_it_a_plan(problem: Problem) -> None:
@@ -170,12 +181,58 @@ def test_related_targets_planned_anew_make_a_plan_no_dearer_and_leave_it_a_plan(
     assert is_plan(stage.network, set(both.plan.tolist()))
 
 
-def first_closing(problem: Problem, near: Near = EVERYWHERE) -> GapClosing:
+def first_closing(problem: Problem, near: Near = EVERYWHERE, tuning: Tuning | None = None) -> GapClosing:
     """The closing of a problem, from a greedy plan and without landmarks."""
     network = Structure.of(problem, None, Clock()).network
     cost = np.array([start_cost_us(t, problem.horizon_s) for t in network.transformations], np.int64)
     plan = np.array(sorted(first_plan(network, cost, 0, Clock()) or ()), np.int64)
-    return GapClosing(network, Bound(network.core, cost), cost, plan, 1, Tuning(near=near))
+    return GapClosing(network, Bound(network.core, cost), cost, plan, 1, tuning or Tuning(near=near))
+
+
+def test_linear_programs_of_a_part_find_landmarks_that_the_one_of_all_labels_misses() -> None:
+    problem = random_library(5, transformations=300, targets=12)
+    both, best = first_closing(problem), PlannerSession().plan(problem)
+    assert best.status is Status.OPTIMAL and best.change_set is not None
+    network = Structure.of(problem, None, Clock()).network
+    used = {network.number[unit.transformation] for unit in best.change_set.started}
+    program, landmarks, _ = both._restricted()
+    fractions = program.solve(None)
+    assert fractions is not None
+    both._charge(program, landmarks)
+    _, found = both._likely_landmarks(both._promising(0.03), Clock())
+    assert min(one.hit_by(fractions) for one in found) < 0.9
+    assert not any(used.isdisjoint(both.bound.core.labels[one.members].tolist()) for one in found)
+
+
+def test_neighbourhoods_grow_towards_all_targets_while_they_are_searched_soon() -> None:
+    near = replace(EVERYWHERE, growth=2.0)
+    both, sizes = first_closing(random_library(5, transformations=300, targets=30), near), list[int]()
+    replan = Neighbourhoods._near
+
+    def seen(self: Neighbourhoods, free: set[int], clock: Clock) -> None:
+        sizes.append(len(free))
+        replan(self, free, clock)
+
+    search = both._neighbourhoods(1.0)
+    with mock.patch.object(Neighbourhoods, "_near", seen):
+        for _ in range(15):
+            search.go_on(Clock())
+    wanted = len(both.bound.core.needs[both.bound.core.goal])
+    assert sizes[0] == 1 and min(sizes[-5:]) >= wanted / 2 and max(sizes) > 24
+
+
+def test_a_kernel_has_the_labels_of_the_plan_and_those_used_more_than_a_fraction() -> None:
+    near = replace(EVERYWHERE, kernels=(0.5, 0.0))
+    both = first_closing(random_library(5, transformations=300, targets=12), near)
+    both.go_on(Clock())
+    plan, fractions = set(both.plan.tolist()), both._fractions
+    search = both._neighbourhoods(1.0)
+    with mock.patch.object(Neighbourhoods, "_cheapest", return_value=frozenset()) as cheapest:
+        search.go_on(Clock())
+    kernels = [call.args[0].core.labels.tolist() for call in cheapest.call_args_list]
+    for kernel, least in zip(kernels, near.kernels, strict=True):
+        assert set(kernel) <= plan.union(np.flatnonzero(fractions > least).tolist())
+    assert len(kernels[0]) < len(kernels[1])
 
 
 @pytest.mark.parametrize("seed", [3, 4])

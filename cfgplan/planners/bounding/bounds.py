@@ -187,7 +187,8 @@ def tightened(bound: Bound, enough: int, limit: int, clock: Clock, *, greedily: 
             break
         if keep.sum() < 0.8 * len(keep):
             bound = bound.restricted(keep)
-        patience = (rise.patience if greedily else rise.last_patience) * bound.core.goal**1.5
+        labels = bound.core.goal
+        patience = rise.patience * labels if greedily else rise.last_patience * labels**1.5
         each = rise.landmark + rise.need * len(bound.core.needs.items) + rise.link * bound.core.deep_links
         bound.improve(enough, rise.landmarks, clock.is_over)
         if bound.value < enough and not _pays(bound.value - before, enough - before, rise.landmarks * each, patience):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from cfgplan.planners.bounding.bounds import Bound
-from cfgplan.planners.bounding.landmarks import Landmark
+from cfgplan.planners.bounding.landmarks import Landmark, landmark_of
 from cfgplan.planners.closing.neighbourhoods import Neighbourhoods
 from cfgplan.planners.closing.program import LandmarkProgram, label_kinds
 from cfgplan.planners.closing.separation import Separator
-from cfgplan.planners.networks.core import Floats, Ints
+from cfgplan.planners.networks.core import Core, Floats, Ints
 from cfgplan.planners.networks.greedy import FREE, cost_of, plan_at
 from cfgplan.planners.networks.network import Network
 from cfgplan.planners.solving.arrays import np
@@ -29,6 +30,7 @@ class GapClosing:
         self.bound = bound
         self._tuning = own = tuning.close
         self._near = tuning.near
+        self._solving = tuning.rise.last_patience
         self._network = network
         self._cost = cost
         self._step = step
@@ -55,20 +57,31 @@ class GapClosing:
         return self.bound.value > self.limit - self._step
 
     @property
-    def _patience(self) -> int:
-        return self._tuning.patience if self.bound.value < (1 - self._tuning.far) * self.limit else 0
+    def _is_far(self) -> bool:
+        """Whether the gap is so large that the solver has little hope, however few labels are left."""
+        return self._gap > self._tuning.far
+
+    def _is_beyond_the_solver(self, clock: Clock) -> bool:
+        """Whether the solver has little hope: the gap is large, or labels are too many for the time that is left.
+
+        If targets are replanned next, which takes most of the time, only the gap counts.
+        """
+        return self._is_far or not (self._is_near_next or clock.has_steps(self._solving * self._left**1.5))
 
     def go_on(self, clock: Clock) -> None:
         """Raise the bound and look for a cheaper plan until they meet or hardly move, or the work is used up."""
         own = self._tuning
         took = self._begin(clock)
         steps = own.work * self._left**1.5
-        while took < steps * (1 + self._patience) and not self.is_closed and self._can_be_built(clock):
+        while not self.is_closed and self._can_be_built(clock):
+            is_patient = self._is_beyond_the_solver(clock)
+            if took >= steps * (1 + own.patience * is_patient):
+                break
             before = self.bound.value
             rounds = min(own.rounds, max(own.fewest_rounds, own.round_labels // self.bound.core.goal))
             these = self._round(steps, rounds, clock)
             self._repair(own.repairs * these, clock)
-            least = 0.0 if self._patience else own.pace / own.rounds * rounds * (self.limit - before)
+            least = 0.0 if is_patient else own.pace / own.rounds * rounds * (self.limit - before)
             if self.bound.value - before <= least:
                 break
             took += (1 + own.repairs) * these
@@ -81,10 +94,10 @@ class GapClosing:
         labels.
         """
         near = self._near
-        if not self._has_many_targets or self._gap < near.gap or not self._can_be_built(clock):
+        if not self._is_near_next or not self._can_be_built(clock):
             return
         usual, most = _part(clock, near.share), _part(clock, near.hopeless_share)
-        share, search = near.promising, self._neighbourhoods(near.promising)
+        share, search, begun = near.promising, self._neighbourhoods(near.promising), self.limit
         near_s, raised_s = 0.0, 0.0
         while not self.is_closed and not (most if self._is_hopeless else usual).is_over():
             if self._is_hopeless and raised_s < near_s:
@@ -96,8 +109,8 @@ class GapClosing:
                 near_s += search.took_s - before_s
                 self._repairs.take(set(search.labels.tolist()).union(self._network.pinned))
             elif self._is_hopeless and share < 1:
-                share *= near.wider
-                search = self._neighbourhoods(share)
+                share *= 1 if self.limit < begun else near.wider
+                search, begun = self._neighbourhoods(share), self.limit
             elif self._is_hopeless and raised_s < np.inf:
                 near_s = np.inf  # landmarks only
             else:
@@ -110,19 +123,24 @@ class GapClosing:
 
     def _neighbourhoods(self, share: float) -> Neighbourhoods:
         """Neighbourhoods of the plan among its labels and those of plans in the lower part of the gap."""
-        labels = self.bound.core.labels
-        within = self.bound.value + int(min(share, 1.0) * (self.limit - self.bound.value))
-        bound = self.bound.restricted(self.bound.may_be_used(within) | np.isin(labels, self.plan))
+        bound = self._promising(share)
         labels = bound.core.labels
         plan = np.flatnonzero(np.isin(labels, self.plan)).tolist()
-        return Neighbourhoods(bound, plan, self._fractions[labels], self._step, self._near)
+        near = self._near if self._is_hopeless else replace(self._near, kernels=self._near.kernels[-1:])
+        return Neighbourhoods(bound, plan, self._fractions[labels], self._step, near)
+
+    def _promising(self, share: float) -> Bound:
+        """The bound for the labels of the plan and those of plans in this part of the gap, the lowest."""
+        labels = self.bound.core.labels
+        within = self.bound.value + int(min(share, 1.0) * (self.limit - self.bound.value))
+        return self.bound.restricted(self.bound.may_be_used(within) | np.isin(labels, self.plan))
 
     @property
-    def _has_many_targets(self) -> bool:
-        """Whether many targets are wanted, and a plan is no more than its labels."""
+    def _is_near_next(self) -> bool:
+        """Whether related targets are replanned: the gap is large, targets are many, a plan is only its labels."""
         core = self._network.core
         is_plain = core.multi_facts is None and not self._network.special
-        return is_plain and len(core.needs[core.goal]) >= self._near.targets
+        return is_plain and len(core.needs[core.goal]) >= self._near.targets and self._gap >= self._near.gap
 
     @property
     def _gap(self) -> float:
@@ -139,7 +157,7 @@ class GapClosing:
         if fractions is None or clock.is_over():
             return None
         self._use(fractions)
-        took, missed = self._steps_of(program, landmarks), list[Landmark]()
+        took, missed = self._steps_of(program, landmarks, self.bound.core), list[Landmark]()
         if program.value <= self.limit - self._step:
             for times in (1, self._near.times):
                 took += times * separator.steps
@@ -171,30 +189,64 @@ class GapClosing:
         """Raise the bound by up to `most` linear programs. Returns about how many steps they took."""
         own, took = self._tuning, 0.0
         program, landmarks, separator = self._restricted()
-        times = own.times if self._patience or self.bound.core.goal >= own.many else 1
+        times = own.times if self.bound.core.goal >= own.many else own.far_times if self._is_far else 1
+        is_large = self.bound.core.goal >= own.many and self._network.core.multi_facts is None
         for _ in range(most):
             fractions = program.solve(clock.left_s())
             if fractions is None or clock.is_over():
                 break
             self._use(fractions)
-            took += self._steps_of(program, landmarks)
+            took += self._steps_of(program, landmarks, self.bound.core)
             if program.value > self.limit - self._step or took >= steps:
                 break
-            missed = [one for one in separator.missed(fractions, self._draw, times, clock.is_over) if program.add(one)]
+            if is_large:
+                self._charge(program, landmarks)
+            part = self._promising(self._near.promising) if is_large else self.bound
+            if part.core.goal < own.part * self.bound.core.goal:
+                more, found = self._likely_landmarks(part, clock)
+                took += more
+            else:
+                found = separator.missed(fractions, self._draw, times, clock.is_over)
+            missed = [one for one in found if program.add(one)]
             landmarks += missed
             if not missed:
                 break
         self._charge(program, landmarks)
         return took
 
+    def _likely_landmarks(self, part: Bound, clock: Clock) -> tuple[float, list[Landmark]]:
+        """Landmarks that fractions of a part of the labels miss, by several linear programs, which are small.
+
+        The landmarks that the last one charges are returned as those of the same zones among all labels. Returns about
+        how many steps this took, too.
+        """
+        own, core, took = self._tuning, part.core, 0.0
+        program = LandmarkProgram(core, self._kinds[core.labels], part.cost)
+        landmarks = [one for one in part.short() if program.add(one)]
+        known, separator = len(landmarks), Separator(core, own)
+        for _ in range(own.likely):
+            fractions = program.solve(clock.left_s())
+            if fractions is None or clock.is_over():
+                break
+            took += self._steps_of(program, landmarks, core)
+            found = separator.missed(fractions, self._draw, own.times, clock.is_over)
+            missed = [one for one in found if program.add(one)]
+            landmarks += missed
+            if not missed:
+                break
+        whole = self.bound.core
+        facts = np.searchsorted(whole.facts, core.facts)
+        charged = zip(landmarks[known:], program.weights[known:], strict=False)
+        return took, [landmark_of(whole, facts[one.zone].tolist()) for one, weight in charged if weight]
+
     def _use(self, fractions: Floats) -> None:
         """Remember how much of each label the linear program uses."""
         self._fractions[:] = 0.0
         self._fractions[self.bound.core.labels] = fractions
 
-    def _steps_of(self, program: LandmarkProgram, landmarks: Sequence[Landmark]) -> float:
-        """About how many steps a solution of the linear program takes."""
-        own, core = self._tuning, self.bound.core
+    def _steps_of(self, program: LandmarkProgram, landmarks: Sequence[Landmark], core: Core) -> float:
+        """About how many steps a solution of the linear program over a core takes."""
+        own = self._tuning
         steps = own.need * len(core.needs.items) + own.label * core.goal**2
         return steps + own.member * program.members * len(landmarks)
 

@@ -37,8 +37,9 @@ class Neighbourhoods:
         self._in_vain: float = 0.0
         self._look = tuning.look + tuning.link * core.links
         self._scale = core.goal**1.5 / 1e6
-        self._use = cost * np.minimum(1.0, fractions)
-        self._used = self._flags(self._reached(fact, fractions) for fact in self._wanted) * self._use
+        self._fractions = fractions
+        use = cost * np.minimum(1.0, fractions)
+        self._used = self._flags(self._reached(fact, fractions) for fact in self._wanted) * use
         self.best = self._lean(frozenset(plan))
 
     @property
@@ -61,12 +62,16 @@ class Neighbourhoods:
         return bool(self._in_vain >= work * self._scale)
 
     def go_on(self, clock: Clock) -> None:
-        """Look for a cheaper plan: first among the labels in use, then each time near other targets."""
+        """Look for a cheaper plan: first among the labels in use, from the most used on, then each time near other
+        targets.
+        """
         before, limit = self._took, self.limit
         if before:
             self._near(self._related(), clock)
         else:
-            self._from_likely_labels(clock)
+            for fraction in self._tuning.kernels:
+                if not clock.is_over():
+                    self._from_likely_labels(fraction, clock)
         if self.limit < limit:
             self._in_vain = 0.0
         elif before:
@@ -75,7 +80,7 @@ class Neighbourhoods:
     def _related(self) -> set[int]:
         """Draw some targets that share cost."""
         most = min(round(self._size), len(self._wanted))
-        number = int(self._draw.integers(min(self._tuning.fewest, most), most + 1))
+        number = int(self._draw.integers((most + 1) // 2, most + 1))
         is_of_plan = self._draw.random() < self._tuning.planned
         price = self._flags(self._supports()) * self._cost if is_of_plan else self._used
         first = int(self._draw.integers(len(self._wanted)))
@@ -107,16 +112,16 @@ class Neighbourhoods:
             found = self._cheapest(bound.restricted(bound.may_be_used(limit)), limit, clock, self._tuning.work)
             self._take(kept | found)
         share = (self._took - before) / self._tuning.work
-        self._size += self._tuning.growth if share < 0.5 else -self._tuning.growth if share >= 1 else 0
-        self._size = min(max(self._size, self._tuning.fewest), self._tuning.most)
+        self._size *= self._tuning.growth if share < 0.5 else 1 / self._tuning.growth if share >= 1 else 1
+        self._size = min(max(self._size, self._tuning.fewest), len(self._wanted))
 
-    def _from_likely_labels(self, clock: Clock) -> None:
-        """Look for a plan among the labels that the linear program or the plan uses (kernel search: Angelelli, Mansini
-        and Speranza 2010).
+    def _from_likely_labels(self, least: float, clock: Clock) -> None:
+        """Look for a plan among the labels that the plan uses, or the linear program by more than a fraction (kernel
+        search: Angelelli, Mansini and Speranza 2010).
         """
         limit = self.limit - self._step
         self._took += self._look
-        likely = {int(label) for label in np.flatnonzero(self._use)} | self.best
+        likely = {int(label) for label in np.flatnonzero(self._fractions > least)} | self.best
         first = _first_givers(self._core, likely)
         fed = [label for label in likely if first.keys() >= set(self._core.needs.lists[label])]
         keep = np.isin(np.arange(self._core.goal), fed)

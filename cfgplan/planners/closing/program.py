@@ -125,7 +125,7 @@ class LandmarkProgram:
         self._known: set[tuple[int, bytes]] = set()
         self.members = 0
         self.value = 0.0
-        self._weights: list[int] = []
+        self.weights: list[int] = []
         self._fed: tuple[int, Ints] = 0, cost * self._parts
 
     def add(self, landmark: Landmark) -> bool:
@@ -152,14 +152,14 @@ class LandmarkProgram:
         self.value = self._engine.Objective().Value() * self._unit
         unit = self._unit * self._parts
         self._fed = self._feeding.charged(self._cost * self._parts, unit)
-        self._weights = [max(0, int(row.dual_value() * unit)) for row in self._rows]
+        self.weights = [max(0, int(row.dual_value() * unit)) for row in self._rows]
         return np.array([uses.solution_value() for uses in self._uses])
 
     def bound(self, landmarks: list[Landmark]) -> Bound:
         """The last solution's bound in whole costs; `landmarks` are those added, in their order."""
         value, left = self._fed
         fine = Bound(self._core, left, landmarks)
-        fine.recharge(self._weights)
+        fine.recharge(self.weights)
         return fine.as_of(self._parts, value, self._cost)
 
 
