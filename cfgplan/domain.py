@@ -348,8 +348,8 @@ class Environment:
         return ", ".join(counted(len(things), noun) for things, noun in parts)
 
     def with_units(self, units: Iterable[ComputationUnit]) -> Environment:
-        """Return the environment with other units, and with all that is derived from its other parts. The units must be
-        valid: nothing checks them.
+        """Return the environment with other units, which must be valid: nothing checks them. Values that were derived
+        from its other parts are kept.
         """
         copy = object.__new__(Environment)
         vars(copy).update(vars(self), units=tuple(sorted(units, key=attrgetter("id"))))

@@ -43,7 +43,9 @@ def each_violation(
     spares: Collection[str],
     before: Environment | None,
 ) -> Iterator[Violation]:
-    """Yield what `violations` returns; who asks for the first one only has no other rule checked."""
+    """Yield the violations that `violations` lists, rule by rule; a caller that stops at the first one leaves the other
+    rules unchecked.
+    """
     yield from _unknown_transformations(environment)
     yield from _bad_subscriptions(environment, similarity)
     yield from _bad_publications(environment, similarity)

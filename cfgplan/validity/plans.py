@@ -187,7 +187,7 @@ def values_of(problem: Problem, after: Environment) -> Mapping[Objective, int]:
 
 
 def values_beside_cost(problem: Problem, after: Environment) -> dict[Objective, int]:
-    """The values of all objectives of the update to an environment but its cost."""
+    """The objectives' values of the update to an environment, without its cost."""
     before = problem.environment.unit
     there = {unit.host for unit in after.units}
     return {

@@ -33,7 +33,7 @@ def priced_us(environment: Environment) -> int:
 
 
 def _asked(environment: Environment, counts: Callable[[Wish], bool]) -> Iterator[tuple[Target, Wish, int]]:
-    """Each wish that `counts` of a target that has a stream, with the value of that stream."""
+    """Yield the wishes for which `counts` holds of targets that have a stream, with the value of that stream."""
     publisher = {p.topic: (unit, p.port) for unit in environment.units for p in unit.publications}
     served = [target for target in environment.targets if target.topic in publisher]
     wishes = [(target, wish) for target in served for wish in target.quality if counts(wish)]

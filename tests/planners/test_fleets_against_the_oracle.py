@@ -155,9 +155,7 @@ def test_the_plan_for_a_fleet_does_not_depend_on_the_run_or_the_order_of_lists(
 
 
 def ever_easier(problem: Problem) -> Iterator[Problem]:
-    """A problem, then without the targets that nothing can meet, and with ever fewer demands: most fleets have no
-    plan.
-    """
+    """Yield a problem, then versions of it that demand ever less: most fleets that are drawn have no plan."""
     yield problem
     unmet = unmet_reasons(problem)
     if met := tuple(target for target in problem.environment.targets if target.label not in unmet):
