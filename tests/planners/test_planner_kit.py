@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 from test_code_blocks import blocks_of
+from worlds import few_steps
 
 from cfgplan.domain import ChangeSet, Stream, Subscription
 from cfgplan.errors import InputError
@@ -47,7 +48,7 @@ def asked_once() -> Iterator[None]:
             raise found
         return found
 
-    with pytest.MonkeyPatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch, few_steps():
         patch.setattr(exhaustive, "plan", remembered)
         yield
 
