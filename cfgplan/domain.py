@@ -347,6 +347,15 @@ class Environment:
         parts += [(self.hosts, "host")] if self.hosts else []
         return ", ".join(counted(len(things), noun) for things, noun in parts)
 
+    def with_units(self, units: Iterable[ComputationUnit]) -> Environment:
+        """Return the environment with other units, which must be valid: nothing checks them. Values that were derived
+        from its other parts are kept.
+        """
+        copy = object.__new__(Environment)
+        vars(copy).update(vars(self), units=tuple(sorted(units, key=attrgetter("id"))))
+        vars(copy).pop("unit", None)
+        return copy
+
     @cached_property
     def outputs(self) -> Mapping[str, str]:
         """The tag of each output of the library, by its name `transformation/port`."""

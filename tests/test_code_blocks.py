@@ -67,6 +67,7 @@ def forget_module(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     del sys.modules[name]
 
 
+@pytest.mark.usefixtures("warm_runs")
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_code_blocks_run(
     page: Path,

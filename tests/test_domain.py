@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy
 import pytest
 
@@ -63,6 +65,18 @@ def test_an_update_adds_before_it_removes() -> None:
     assert after == Environment((ComputationUnit("a.1", "a"), fed), (A, B))
     assert before.library == (A,)
     assert after.update(ChangeSet(stopped=("b.1",), removed_transformations=("b",))) == before
+
+
+def test_an_environment_with_other_units_is_the_one_that_is_made_of_them() -> None:
+    units = (ComputationUnit("a.2", "a"), ComputationUnit("a.1", "a"))
+    before = Environment((ComputationUnit("a.3", "a"),), (A, B), (Target("one", "A", "/one"),))
+    derived = [name for name, value in vars(Environment).items() if isinstance(value, cached_property)]
+    assert len({name: getattr(before, name) for name in derived}) > 10
+    new = Environment(units, before.library, before.targets)
+    assert before.with_units(units) == new
+    assert {name: getattr(before.with_units(units), name) for name in derived} == {
+        name: getattr(new, name) for name in derived
+    }
 
 
 def test_the_change_to_other_units_leads_there() -> None:

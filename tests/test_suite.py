@@ -88,8 +88,8 @@ def test_a_push_takes_a_share_of_the_seeds_of_each_test_and_others_the_next_time
 
 
 SUITE_WITH_DEATHS = """
+import ctypes
 import os
-from itertools import repeat
 from pathlib import Path
 
 import pytest
@@ -105,7 +105,7 @@ def test_some(number):
 @pytest.mark.parametrize("number", range(3))
 def test_group(number):
     if number == 1:
-        sum(repeat(0))  # hears no signal
+        ctypes.PyDLL(None).pause()  # holds the lock of the interpreter, as a solver's own code may do
 
 
 @pytest.mark.flaky(reruns=1)

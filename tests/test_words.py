@@ -487,7 +487,7 @@ def entered(problem: Problem) -> tuple[Plan, list[str]]:
 
 
 LIBRARIES = {
-    "of what can't start": (random_library(3, transformations=500), False),
+    "of what can't start": (random_library(5, transformations=200), False),
     "of what nothing wants": (random_library(3, transformations=100), True),
 }
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import chain, combinations, combinations_with_replacement, product
 from math import comb, inf, prod
@@ -27,9 +27,9 @@ from cfgplan.domain import (
 from cfgplan.errors import InputError
 from cfgplan.planning import Feature, Measured, OnProgress, Plan, Problem, Progress, Status, fresh_units
 from cfgplan.validity.counts import unfed_us
-from cfgplan.validity.environments import instance_violations, missing_units, violations
+from cfgplan.validity.environments import each_violation, instance_violations, missing_units
 from cfgplan.validity.hosts import carried_us, company_violations, placing_violations
-from cfgplan.validity.plans import cost_us, unused_required, values_of
+from cfgplan.validity.plans import cost_us, unused_required, values_beside_cost
 from cfgplan.validity.quality import priced_us
 from cfgplan.validity.startable import providers_by_tag, startable
 from cfgplan.validity.survival import justified_spares, survival_violations
@@ -112,18 +112,18 @@ def _configurations(
 ) -> Iterator[tuple[OracleRank, Environment]]:
     """The valid configurations with a rank that `may_do`; where a rank does not, no greater one does."""
     environment, similarity = problem.environment, problem.similarity
-    pinned = _pinned(problem)
+    pinned, after = _pinned(problem), environment
     sets = _sets(problem, steps)
     for least, units in sorted(sets, key=lambda entry: (entry[0], len(entry[1]), [u.id for u in entry[1]])):
         if not may_do(least):
             return
-        after = replace(environment, units=units)
+        after = after.with_units(units)
         if not pinned.issubset(after.unit) or any(survival_violations(after, similarity, problem.survive)):
             continue
         spares: set[str] | None = None
         for rewired, wired in _wirings(problem, units, steps, partial(_may_rewire, may_do, least)):
             steps.wirings += 1
-            after = replace(environment, units=wired)
+            after = after.with_units(wired)
             more_us = carried_us(after, problem.horizon_s) + priced_us(after) + unfed_us(after, problem.horizon_s)
             unused, dear_us = len(unused_required(after)), least.cost_us + more_us
             rank = OracleRank(unused, _first(problem, after, dear_us, rewired), dear_us, rewired, least.started)
@@ -131,7 +131,8 @@ def _configurations(
                 continue
             if spares is None:
                 spares = justified_spares(after, similarity, problem.survive)
-            if not violations(after, similarity, None, problem.horizon_s, spares, problem.environment):
+            broken = each_violation(after, similarity, None, problem.horizon_s, spares, environment)
+            if next(broken, None) is None:
                 yield rank, after
 
 
@@ -212,10 +213,10 @@ def _sets(problem: Problem, steps: _Steps) -> list[tuple[OracleRank, Units]]:
     ]
     kept = chain.from_iterable(combinations(running, size) for size in range(len(running) + 1))
     sets = ((*one, *chain.from_iterable(others)) for one, others in product(list(kept), list(product(*new))))
-    found = []
+    found, after = [], environment
     for units in sets:
         steps.look()
-        after = replace(environment, units=units)
+        after = after.with_units(units)
         if _is_allowed(after, problem.horizon_s):
             found.append((_least(problem, after), units))
     return found
@@ -253,12 +254,12 @@ def _first(problem: Problem, after: Environment, dear_us: int, rewired: int) -> 
     """The leading objectives of a configuration with this cost and number of rewired units."""
     if Feature.ORDER not in problem.features:
         return ()
-    values = {**values_of(problem, after), Objective.COST: dear_us, Objective.REWIRED: rewired}
+    values = {**values_beside_cost(problem, after), Objective.COST: dear_us, Objective.REWIRED: rewired}
     is_too_dear = problem.max_cost_us is not None and dear_us > problem.max_cost_us
     return int(is_too_dear), *(values[each] for each in problem.environment.minimise)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Demand:
     """An input of a unit, or (without a unit) the topic of a target, and the sets of streams that may feed it."""
 
@@ -311,6 +312,13 @@ def _wirings(
     kept = [unit for unit in units if unit.id in running]
     waiting = [{demand.unit for demand in demands[done:]} for done in range(len(demands) + 1)]
     choice: list[tuple[_Demand, Stream]] = []
+    known: dict[tuple[str, tuple[tuple[_Demand, Stream], ...]], ComputationUnit] = {}
+
+    def wired(unit: ComputationUnit) -> ComputationUnit:
+        own = tuple([(d, stream) for d, stream in choice if unit.id == (stream.unit if d.unit is None else d.unit)])
+        if (unit.id, own) not in known:
+            known[unit.id, own] = _wired(unit, own)
+        return known[unit.id, own]
 
     def may_feed(streams: tuple[Stream, ...], demand: _Demand) -> bool:
         if demand.unit is None:
@@ -327,11 +335,11 @@ def _wirings(
         steps.take()
         unfinished = waiting[done]
         finished = [unit for unit in kept if unit.id not in unfinished] if None not in unfinished else []
-        rewired = sum(_wired(unit, choice) != running[unit.id] for unit in finished)
+        rewired = sum(wired(unit) != running[unit.id] for unit in finished)
         if not may_rewire(rewired):
             return
         if done == len(demands):
-            yield rewired, tuple(_wired(unit, choice) for unit in units)
+            yield rewired, tuple([wired(unit) for unit in units])
             return
         demand = demands[done]
         for streams in demand.choices:

@@ -32,24 +32,36 @@ def violations(
     `horizon_s` seconds. A caller that has checked survival already passes the `justified_spares` as `spares`, without
     `survive`.
     """
-    return [
-        *_unknown_transformations(environment),
-        *_bad_subscriptions(environment, similarity),
-        *_bad_publications(environment, similarity),
-        *missing_units(environment),
-        *count_violations(environment, similarity),
-        *unfed_violations(environment, similarity),
-        *serving_violations(environment),
-        *_cycles(environment),
-        *_indistinct_feeds(environment),
-        *quality_violations(environment),
-        *placing_violations(environment, horizon_s),
-        *company_violations(environment),
-        *link_violations(environment),
-        *instance_violations(environment),
-        *survival_violations(environment, similarity, survive),
-        *_needless_units(environment, similarity, survive, spares, environment if before is None else before),
-    ]
+    return [*each_violation(environment, similarity, survive, horizon_s, spares, before)]
+
+
+def each_violation(
+    environment: Environment,
+    similarity: Similarity,
+    survive: Failures | None,
+    horizon_s: int,
+    spares: Collection[str],
+    before: Environment | None,
+) -> Iterator[Violation]:
+    """Yield the violations that `violations` lists, rule by rule; a caller that stops at the first one leaves the other
+    rules unchecked.
+    """
+    yield from _unknown_transformations(environment)
+    yield from _bad_subscriptions(environment, similarity)
+    yield from _bad_publications(environment, similarity)
+    yield from missing_units(environment)
+    yield from count_violations(environment, similarity)
+    yield from unfed_violations(environment, similarity)
+    yield from serving_violations(environment)
+    yield from _cycles(environment)
+    yield from _indistinct_feeds(environment)
+    yield from quality_violations(environment)
+    yield from placing_violations(environment, horizon_s)
+    yield from company_violations(environment)
+    yield from link_violations(environment)
+    yield from instance_violations(environment)
+    yield from survival_violations(environment, similarity, survive)
+    yield from _needless_units(environment, similarity, survive, spares, environment if before is None else before)
 
 
 def _unknown_transformations(environment: Environment) -> Iterator[Violation]:

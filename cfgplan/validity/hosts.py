@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter, defaultdict
 from collections.abc import Iterator
-from fractions import Fraction
 
 from cfgplan.domain import CPU, POWER, ComputationUnit, Environment, Link, Transformation, amount_of
 from cfgplan.validity.facts import known_units
@@ -92,7 +90,7 @@ def costs_there(
     host = environment.host.get(unit.host or "")
     if host is None:
         return costs
-    labor_us, upkeep_us, standby_us = (math.ceil(Fraction(cost * 10**6, host.speed)) for cost in costs)
+    labor_us, upkeep_us, standby_us = (-(-cost * 10**6 // host.speed) for cost in costs)
     return (*transformation.seen_us.get(host.name, (labor_us, upkeep_us)), standby_us)
 
 

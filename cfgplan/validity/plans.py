@@ -183,11 +183,15 @@ def cost_us(problem: Problem, after: Environment) -> int:
 
 def values_of(problem: Problem, after: Environment) -> Mapping[Objective, int]:
     """The objectives' values of the update to an environment."""
+    return {**values_beside_cost(problem, after), Objective.COST: cost_us(problem, after)}
+
+
+def values_beside_cost(problem: Problem, after: Environment) -> dict[Objective, int]:
+    """The objectives' values of the update to an environment, without its cost."""
     before = problem.environment.unit
     there = {unit.host for unit in after.units}
     return {
         Objective.RENT: rents_us(after) * problem.horizon_s,
-        Objective.COST: cost_us(problem, after),
         Objective.UNITS: sum(not unit.standby for unit in after.units),
         Objective.HOSTS: sum(host.name in there for host in after.hosts),
         Objective.REWIRED: sum(unit.id in before and unit != before[unit.id] for unit in after.units),

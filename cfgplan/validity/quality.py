@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from contextlib import suppress
-from graphlib import CycleError, TopologicalSorter
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator
 
 from cfgplan.domain import ComputationUnit, Environment, Stream, Target, Transformation
 from cfgplan.qualities import QualityAttribute, Wish, delayed, is_met, price_us, propagated, units
@@ -15,7 +14,7 @@ from cfgplan.validity.rules import Rule, Violation
 
 def quality_violations(environment: Environment) -> Iterator[Violation]:
     """The bounds of targets that their streams miss."""
-    for target, wish, value in _asked(environment):
+    for target, wish, value in _asked(environment, lambda wish: wish.bound is not None):
         attribute = environment.quality[wish.attribute]
         if not is_met(attribute, wish, value):
             assert wish.bound is not None
@@ -29,53 +28,58 @@ def quality_violations(environment: Environment) -> Iterator[Violation]:
 
 def priced_us(environment: Environment) -> int:
     """The prices that targets set on the quality of their streams."""
-    return sum(price_us(environment.quality[wish.attribute], wish, value) for _, wish, value in _asked(environment))
+    priced = _asked(environment, lambda wish: wish.weight_us > 0)
+    return sum(price_us(environment.quality[wish.attribute], wish, value) for _, wish, value in priced)
 
 
-def _asked(environment: Environment) -> Iterator[tuple[Target, Wish, int]]:
-    """Each wish of a target that has a stream, with the value of that stream."""
-    publisher = {p.topic: Stream(unit.id, p.port) for unit in environment.units for p in unit.publications}
+def _asked(environment: Environment, counts: Callable[[Wish], bool]) -> Iterator[tuple[Target, Wish, int]]:
+    """Yield the wishes for which `counts` holds of targets that have a stream, with the value of that stream."""
+    publisher = {p.topic: (unit, p.port) for unit in environment.units for p in unit.publications}
     served = [target for target in environment.targets if target.topic in publisher]
-    asked = {wish.attribute for target in served for wish in target.quality}
-    order = _feeders_first(environment) if asked else []
+    wishes = [(target, wish) for target in served for wish in target.quality if counts(wish)]
+    order = _feeders_first(environment) if wishes else []
+    asked = {wish.attribute for _, wish in wishes}
     values = {name: _values(environment, environment.quality[name], order) for name in asked}
-    for target in served:
-        for wish in target.quality:
-            attribute, stream = environment.quality[wish.attribute], publisher[target.topic]
-            value = values[wish.attribute].get(stream, attribute.worst)
-            by = latency(environment, attribute.name, environment.unit[stream.unit].host, target.host)
-            yield target, wish, delayed(attribute, value, by)
+    for target, wish in wishes:
+        attribute, (unit, port) = environment.quality[wish.attribute], publisher[target.topic]
+        value = values[wish.attribute].get((unit.id, port), attribute.worst)
+        by = latency(environment, attribute.name, unit.host, target.host)
+        yield target, wish, delayed(attribute, value, by)
 
 
 def _feeders_first(environment: Environment) -> list[tuple[ComputationUnit, Transformation]]:
     """Return the units, each after its feeders (except by feedback); units in a cycle or behind one are left out."""
-    sorter: TopologicalSorter[str] = TopologicalSorter()
     known = {unit.id: (unit, transformation) for unit, transformation in known_units(environment)}
+    feeders, readers = dict[str, int](), defaultdict[str, list[str]](list)
     for unit, transformation in known.values():
         ordinary = [port.name for port in transformation.inputs if not port.feedback]
-        sorter.add(unit.id, *(feed.unit for name in ordinary for feed in unit.feeds.get(name, ())))
-    with suppress(CycleError):
-        sorter.prepare()
-    order: list[str] = []
-    while sorter.is_active():
-        ready = sorter.get_ready()
-        sorter.done(*ready)
-        order += ready
-    return [known[unit_id] for unit_id in order if unit_id in known]
+        feeding = {feed.unit for name in ordinary for feed in unit.feeds.get(name, ())} & known.keys()
+        feeders[unit.id] = len(feeding)
+        for feeder in feeding:
+            readers[feeder].append(unit.id)
+    order = [unit_id for unit_id, number in feeders.items() if not number]
+    for unit_id in order:
+        for reader in readers[unit_id]:
+            feeders[reader] -= 1
+            order += [reader] if not feeders[reader] else []
+    return [known[unit_id] for unit_id in order]
 
 
 def _values(
     environment: Environment,
     attribute: QualityAttribute,
     order: Iterable[tuple[ComputationUnit, Transformation]],
-) -> dict[Stream, int]:
-    """Return the value of each stream; an input has the worst value if it is unfed, or fed from outside `order`."""
-    values: dict[Stream, int] = {}
+) -> dict[tuple[str, str], int]:
+    """Return the value of each stream, by its unit and port; an input has the worst value if it is unfed, or fed from
+    outside `order`.
+    """
+    values: dict[tuple[str, str], int] = {}
 
     def come(feed: Stream | None, host: str | None) -> int:
-        if feed not in values:
+        value = None if feed is None else values.get((feed.unit, feed.port))
+        if feed is None or value is None:
             return attribute.worst
-        return delayed(attribute, values[feed], latency(environment, attribute.name, at[feed.unit], host))
+        return delayed(attribute, value, latency(environment, attribute.name, at[feed.unit], host))
 
     at = {unit.id: unit.host for unit, _ in order}
     for unit, transformation in order:
@@ -85,5 +89,5 @@ def _values(
         inputs = [come(feed, unit.host) for feed in feeds]
         for port in transformation.outputs:
             stated = {contribution.attribute: contribution.on(unit.host) for contribution in port.quality}
-            values[Stream(unit.id, port.name)] = propagated(attribute, stated.get(attribute.name), inputs)
+            values[unit.id, port.name] = propagated(attribute, stated.get(attribute.name), inputs)
     return values

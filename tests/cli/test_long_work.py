@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from command import Run
+from warm import command
 
 from cfgplan.cli import screen
 from cfgplan.cli.screen import Screen, ShownWork, decided_by
@@ -76,13 +77,11 @@ def test_progress_in_json_is_not_told_twice(env: Path, run: Run, monkeypatch: py
     assert SHOWN not in err
 
 
+@pytest.mark.usefixtures("warm_cfgplan")
 @pytest.mark.parametrize("verb", [["solve"], ["explain"]])
 def test_a_terminal_has_one_line_that_changes(env: Path, verb: list[str]) -> None:
-    from sys import executable
-
     leader, follower = pty.openpty()
-    code = "import sys; from cfgplan.cli import main; sys.exit(main())"
-    call = [executable, "-c", code, *verb, str(env), "--planner", "slow_planner:plan"]
+    call = command(*verb, env, "--planner", "slow_planner:plan")
     surroundings = {**os.environ, "TERM": "xterm", "COLUMNS": "100"}
     shown = b""
     with subprocess.Popen(call, stdout=subprocess.DEVNULL, stderr=follower, env=surroundings) as process:

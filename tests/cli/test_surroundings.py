@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 from command import MODELS, Run
+from warm import cold_command, command
 
 from cfgplan import extras
 from cfgplan.cli.interrupts import Interrupts, ended_cleanly
@@ -22,13 +23,19 @@ from cfgplan.planners import cpsat
 NAO = MODELS / "nao"
 UNMET = NAO / "0-target-only.yaml"
 FUSION = NAO / "4-fusion-available.yaml"
-COMMAND = [sys.executable, "-c", "import sys; from cfgplan.cli import main; sys.exit(main())"]
-pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals, pipes and devices of POSIX")
+pytestmark = [
+    pytest.mark.skipif(os.name != "posix", reason="signals, pipes and devices of POSIX"),
+    pytest.mark.usefixtures("warm_cfgplan"),
+]
 
 
 def start(*arguments: object, **more: Any) -> subprocess.CompletedProcess[bytes]:
+    return ended(command(*arguments), **more)
+
+
+def ended(line: list[str], **more: Any) -> subprocess.CompletedProcess[bytes]:
     streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **more}
-    return subprocess.run([*COMMAND, *map(str, arguments)], check=False, timeout=120, **streams)
+    return subprocess.run(line, check=False, timeout=120, **streams)
 
 
 def test_without_a_verb_there_is_help(run: Run) -> None:
@@ -75,18 +82,18 @@ def test_a_misspelt_verb_is_told_the_nearest_one(run: Run) -> None:
 
 def test_a_terminal_without_unicode_gets_escapes_and_json_is_utf_8_everywhere() -> None:
     ascii_only = {**os.environ, "PYTHONIOENCODING": "ascii"}
-    text = start("explain", UNMET, env=ascii_only)
+    text = ended(cold_command("explain", UNMET), env=ascii_only)
     assert text.returncode == 10
     assert b"target ball wants Position \\u2293 \\u2203hasSource.Ball" in text.stdout
-    found = start("explain", UNMET, "--json", env=ascii_only)
+    found = ended(cold_command("explain", UNMET, "--json"), env=ascii_only)
     assert found.returncode == 10
     assert "∃hasSource.Ball" in json.dumps(json.loads(found.stdout.decode()), ensure_ascii=False)
 
 
 @pytest.mark.parametrize("verb", [["solve", FUSION], ["graph", FUSION, "--format", "mermaid"]])
 def test_closed_streams_are_no_errors(verb: list[object]) -> None:
-    line = [*COMMAND, *map(str, verb)]
-    done = subprocess.run(["sh", "-c", '"$@" >&- 2>&-', "sh", *line], check=False, timeout=120)
+    line = ["sh", "-c", '"$@" >&- 2>&-', "sh", *cold_command(*verb)]
+    done = subprocess.run(line, check=False, timeout=120)
     assert done.returncode == 0
 
 

@@ -39,24 +39,36 @@ def archives(cache: Path) -> list[Path]:
 
 
 class Made(NamedTuple):
-    """A cache folder with an archive, and how many archives were there after each question until it was made."""
+    """A cache folder with an archive, how many archives were there before and after three processes that asked at once,
+    and the exit codes of these, which are 0 if they were answered.
+    """
 
     folder: Path
-    there: tuple[int, ...]
+    before: int
+    after: int
+    ended: list[int]
 
 
 @pytest.fixture(scope="module")
 def made_for_all(tmp_path_factory: pytest.TempPathFactory) -> Made:
     """Making an archive costs some seconds of CPU time, and its second part knows the place of the first."""
-    home, there = tmp_path_factory.mktemp("made"), list[int]()
+    home = tmp_path_factory.mktemp("made")
     folder = home / "cfgplan" / "hermit"
+    code = textwrap.dedent(
+        f"""
+        from cfgplan.matching import class_archive, hermit
+        class_archive.PAYS_AFTER = 2
+        assert hermit.satisfiable({DOCUMENT!r}, ["t:0"]) == {{"t:0": True}}
+        """
+    )
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(home))
         patch.setattr(class_archive, "PAYS_AFTER", 2)
-        for _ in range(2):
-            assert ask() == {"t:0": True}
-            there.append(len(archives(folder)))
-    return Made(folder, tuple(there))
+        assert ask() == {"t:0": True}
+        before = len(archives(folder))
+        running = [subprocess.Popen([sys.executable, "-c", code]) for _ in range(3)]
+        ended = [process.wait() for process in running]
+    return Made(folder, before, len(archives(folder)), ended)
 
 
 @pytest.fixture
@@ -72,7 +84,7 @@ def made(made_for_all: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 @one_archive
 def test_the_archive_is_made_once_it_pays_and_then_used(made_for_all: Made, made: Path) -> None:
-    assert made_for_all.there == (0, 1)
+    assert (made_for_all.before, made_for_all.after) == (0, 1)
     assert {path.name for path in made.iterdir()} >= {"java.jsa", "hermit.jsa"}
     before = {path: path.stat().st_mtime_ns for path in made_for_all.folder.rglob("*")}
     assert ask() == {"t:0": True}
@@ -176,16 +188,10 @@ def test_only_a_few_archives_are_kept(cache: Path, monkeypatch: pytest.MonkeyPat
     assert not (cache / "old0").exists()
 
 
-def test_processes_that_ask_at_once_make_one_archive_and_all_answer(cache: Path, streams: Ontology) -> None:
-    code = textwrap.dedent(
-        f"""
-        from cfgplan.matching import class_archive, hermit
-        class_archive.PAYS_AFTER = 1
-        for _ in range(2):
-            assert hermit.satisfiable({DOCUMENT!r}, ["t:0"]) == {{"t:0": True}}
-        """
-    )
-    running = [subprocess.Popen([sys.executable, "-c", code]) for _ in range(3)]
-    assert [process.wait() for process in running] == [0, 0, 0]
-    assert len(archives(cache)) == 1
+@one_archive
+def test_processes_that_ask_at_once_make_one_archive_and_all_answer(
+    made_for_all: Made, made: Path, streams: Ontology
+) -> None:
+    assert made_for_all.ended == [0, 0, 0]
+    assert archives(made_for_all.folder) == [made]
     assert match(["Image"], ["¬Device"], streams).similarity.holds("Image", "¬Device")

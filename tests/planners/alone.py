@@ -15,14 +15,17 @@ from cfgplan.planners.exact.solve_state import SolveState
 from cfgplan.planners.networks.core import Core
 from cfgplan.planners.networks.network import Network
 from cfgplan.planners.solving.clock import Clock
-from cfgplan.planners.tuning import Tuning
+from cfgplan.planners.tuning import USUAL, Tuning
 from cfgplan.planning import Plan, Problem
 from cfgplan.reasons import Providers
 
 
-def search_alone(problem: Problem, *, is_apart: bool = False, rules: Sequence[ModelRule] = RULES) -> Search:
+def search_alone(
+    problem: Problem, *, is_apart: bool = False, rules: Sequence[ModelRule] = RULES, tuning: Tuning = USUAL
+) -> Search:
     """A search in the one model, from nothing; with `is_apart` every subscription has a boolean."""
-    candidates, state = Candidates(problem), SolveState(problem, Clock(), None)
+    candidates = Candidates(problem, clock=Clock(tuning=tuning))
+    state = SolveState(problem, candidates.clock, None)
     state.min_unused = sum(not candidates.of(label) for label in problem.environment.required)
     return Search(candidates, state, is_apart=is_apart, rules=rules)
 

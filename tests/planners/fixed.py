@@ -27,6 +27,7 @@ from cfgplan.domain import (
 )
 from cfgplan.planners.exact.rules import RULES
 from cfgplan.planners.exact.units import one_of_interchangeable_new_units_is_enough
+from cfgplan.planners.tuning import USUAL, Fleets, Solve, Tuning
 from cfgplan.planning import Problem
 
 MOST_CUTS = 200
@@ -81,6 +82,7 @@ class Hubs:
     """What the model allows in which inputs share what meets them wherever they can; new units alike are apart."""
 
     is_apart = False
+    tuning = USUAL
     rules = tuple(rule for rule in RULES if rule.add is not one_of_interchangeable_new_units_is_enough)
 
     def __init__(self, problem: Problem) -> None:
@@ -118,7 +120,7 @@ class Hubs:
 
     def build(self) -> CpModel:
         """The model, anew."""
-        self.search = search_alone(self.problem, is_apart=self.is_apart, rules=self.rules)
+        self.search = search_alone(self.problem, is_apart=self.is_apart, rules=self.rules, tuning=self.tuning)
         self.candidates = self.search.model.candidates
         self.model = self.search.model
         return self.model.cp
@@ -160,6 +162,15 @@ class Apart(Hubs):
     """The model in which every possible subscription has a boolean."""
 
     is_apart = True
+
+
+class Explained(Apart):
+    """The same where each solution that is no plan has to be cut for its reason, and none is forbidden alone.
+
+    As in large problems, units that might feed each other have no places in an order.
+    """
+
+    tuning = Tuning(fleet=Fleets(few=0), solve=Solve(unexplained=0))
 
 
 def _from(unit: str, choices: dict[Stream, IntVar]) -> list[IntVar]:

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from alone import search_alone
-from fixed import Apart, Hubs, kind, on, publishes, rewired, runs, unit, waits, world
+from fixed import Apart, Explained, Hubs, kind, on, publishes, rewired, runs, unit, waits, world
 
 from cfgplan.domain import Host, Link, OutputPort, Stream, Target, Transformation
 from cfgplan.figures import qualities_of_targets
@@ -493,6 +493,21 @@ def test_what_a_stream_loses_on_a_journey_is_weighed(planner: str, weight_us: in
     after = problem.after(found)
     assert (found.status, {unit.host for unit in after.units}) == (Status.OPTIMAL, {"near", where})
     assert qualities_of_targets(after, after.units)["B"]["q"] == quality
+
+
+@pytest.mark.parametrize("model", [Apart, Hubs, Explained])
+def test_what_a_link_adds_is_added_to_what_a_stream_is_and_not_to_the_best_that_it_may_be(model: type[Hubs]) -> None:
+    library = (
+        kind("good", gives="A", output=states(1)),
+        kind("poor", gives="A", output=states(5)),
+        kind("f", "A", "B", output=states(2, QualityRule.ADD)),
+    )
+    targets = (Target("B", "B", "/B", quality=(Wish("q", 10),), host="h1"),)
+    links = (Link(("h0", "h1"), latency=4, adds="q"),)
+    fixed = model(world(targets, *library, qualities=(LOW,), hosts=TWO, links=links))
+    assert fixed.allows(on("good.1", "h0"), on("f.1", "h0"), ~runs("poor.1"))
+    assert fixed.allows(on("poor.1", "h1"), on("f.1", "h1"), ~runs("good.1"))
+    assert not fixed.allows(on("poor.1", "h0"), on("f.1", "h0"), ~runs("good.1"))
 
 
 RESULTS = [

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from random import Random
@@ -15,15 +15,42 @@ from typing import Any
 
 import pytest
 from test_code_blocks import blocks_of
+from worlds import few_steps
 
 from cfgplan.domain import ChangeSet, Stream, Subscription
 from cfgplan.errors import InputError
 from cfgplan.planners import PLANNERS, exhaustive
-from cfgplan.planning import Feature, Plan, Planner, Problem, Progress, Status, refuse_features
+from cfgplan.planning import Feature, OnProgress, Plan, Planner, Problem, Progress, Status, refuse_features
 from cfgplan.testing import Promise, check_planner, drawn_problem, examine_planner
 
 MANUAL = Path(__file__).parents[2] / "cfgplan" / "manual"
 EVERY_FEATURE = tuple(Feature)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def asked_once() -> Iterator[None]:
+    """The oracle answers each problem once: most checks of this module draw the same ones."""
+    ask, known = exhaustive.plan, dict[Problem, tuple[Plan | InputError, list[Progress]]]()
+
+    def remembered(problem: Problem, *, time_limit_s: float | None = None, report: OnProgress | None = None) -> Plan:
+        if time_limit_s is not None:
+            return ask(problem, time_limit_s=time_limit_s, report=report)
+        if problem not in known:
+            told: list[Progress] = []
+            try:
+                known[replace(problem)] = ask(problem, report=told.append), told
+            except InputError as error:
+                known[replace(problem)] = error, told
+        found, told = known[problem]
+        for progress in told if report is not None else ():
+            report(progress)
+        if isinstance(found, InputError):
+            raise found
+        return found
+
+    with pytest.MonkeyPatch.context() as patch, few_steps():
+        patch.setattr(exhaustive, "plan", remembered)
+        yield
 
 
 def right(problem: Problem, time_limit_s: float | None = None, report: Any = None) -> Plan:

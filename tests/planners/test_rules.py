@@ -8,6 +8,7 @@ import pytest
 from fixed import (
     PLAIN_OUTPUT,
     Apart,
+    Explained,
     Hubs,
     WithoutTwins,
     feeds,
@@ -79,7 +80,7 @@ def test_a_unit_does_not_feed_itself(model: type[Hubs]) -> None:
     assert not fixed.allows(runs("loop.1"), ~runs("s.1"))
 
 
-@every_model
+@pytest.mark.parametrize("model", [Hubs, Apart, Explained])
 def test_three_units_in_a_ring_need_something_from_outside(model: type[Hubs]) -> None:
     cycle = (kind("one", "A", "B"), kind("two", "B", "C"), kind("three", "C", "A"))
     fixed = model(world("C", SOURCE, *cycle))
