@@ -54,6 +54,10 @@ class Decide:
     choices: int = row(
         100, "facts", "Not if more facts than this have more providers than they take.", "NAO; random libraries"
     )
+    parts: int = row(
+        200, "parts", "If disjoint parts are no plan, the solver chooses among so many that may share labels.", "NAO"
+    )
+    choosing: float = row(0.02, "the engine's s", "It may take so long.", "NAO")
     chained: int = row(
         16, "labels", "Above this size, most expensive chains are charged before the search.", "NAO, 20 robots"
     )
