@@ -86,13 +86,11 @@ def prove_by_parts(work: SolveRun) -> bool:
     if weights is None:
         return False
     value, plan = disjoint_bound(core, weights.each, network.pinned, work.clock.each)
-    if weights.of_plan(plan) > weights.least(value):
+    if weights.of_plan(plan) > weights.least(value) or not is_plan(network, plan):
         chosen = cheapest_choice(core, weights.each, network.pinned, work.clock)
-        if chosen is None:
+        if chosen is None or not is_plan(network, chosen):
             return False
         value, plan = weights.of_plan(chosen), chosen
-    if not is_plan(network, plan):
-        return False
     labels = sorted(plan)
     work.take(Remaining(labels, value, is_complete=False), network, weights, labels)
     work.clock.end("bounds")
