@@ -85,7 +85,9 @@ def nao(
     return Problem(Environment(units, tuple(library), targets), similarity, horizon_s)
 
 
-def _with_shared_cameras(library: list[Transformation], robots: int, sharing: int, cameras: int) -> list[Transformation]:
+def _with_shared_cameras(
+    library: list[Transformation], robots: int, sharing: int, cameras: int
+) -> list[Transformation]:
     """Leave a camera for each `sharing` robots; it films for `cameras` groups of them, the first follows the last."""
     groups = [range(first, min(first + sharing, robots + 1)) for first in range(1, robots + 1, sharing)]
     films: dict[str, list[str]] = {}

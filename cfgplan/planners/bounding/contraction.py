@@ -2,17 +2,18 @@
 
 A label forces the providers of a fact that takes all of them. If nothing else may need a forced label, a cheapest plan
 uses both or neither, so they become one *part* with the sum of their costs: a robot's pipeline is a part, and so is a
-camera that several robots share. The solver chooses among the parts in milliseconds, since they are few. It does not
-ask whether a choice is grounded: its cost is a lower bound on plans, and the optimum if the choice is a plan.
+camera that several robots share. The solver chooses among the parts in milliseconds, since they are few. A choice that
+is not grounded misses a landmark, which is added before the solver chooses again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 from cfgplan.onward import reached
 from cfgplan.planners.networks.core import Core
+from cfgplan.planners.networks.reach import Reach
 from cfgplan.planners.solving.clock import Clock
 
 
@@ -104,26 +105,50 @@ class Contraction:
 
 
 def cheapest_choice(core: Core, cost: Sequence[int], certain: Collection[int], clock: Clock) -> set[int] | None:
-    """Return the cheapest labels that meet all needs, grounded or not.
+    """Return the cheapest labels that meet the core's goal and can be started one after the other.
 
-    None if that is not proven within the clock and `tuning.decide.choosing`, or if too many parts are left.
-    `certain` has labels that every plan uses.
+    `certain` has labels that every plan uses. Returns None if no labels do, if that is not proven within the clock and
+    `tuning.decide.choosing`, or if too many parts are left.
     """
     contraction, tuning = Contraction(core, cost, certain), clock.tuning.decide
-    if len(contraction.parts) > tuning.parts:
+    if len(contraction.parts) > max(tuning.parts, tuning.contracted * core.goal):
         return None
     from ortools.sat.python.cp_model import OPTIMAL, LinearExpr
 
     from cfgplan.planners.solving.engine import ExactModel, repeatable_solver, solve
 
-    model = ExactModel()
-    *chosen, is_goal = uses = [model.new_bool_var("") for _ in contraction.parts]
-    model.add_bool_or([is_goal])
+    model, left_s = ExactModel(), tuning.choosing
+    uses = [model.new_bool_var("") for _ in contraction.parts]
+    model.add_bool_or([uses[-1]])
     for part, takes, providers in contraction.needs():
         model.add(LinearExpr.sum([uses[one] for one in providers]) >= takes * uses[part])
-    model.minimize(LinearExpr.weighted_sum(chosen, contraction.costs[:-1]))
-    solver = repeatable_solver(small=True, tiny=True, time_limit_s=clock.left_s())
-    solver.parameters.max_deterministic_time = tuning.choosing
-    if solve(solver, model, clock) != OPTIMAL:
-        return None
-    return {label for part, use in zip(contraction.parts, uses, strict=True) if solver.boolean_value(use) for label in part}
+    model.minimize(LinearExpr.weighted_sum(uses[:-1], contraction.costs[:-1]))
+    of_label = {label: use for labels, use in zip(contraction.parts, uses, strict=True) for label in labels}
+    while left_s > 0:
+        solver = repeatable_solver(small=True, tiny=True, time_limit_s=clock.left_s())
+        solver.parameters.max_deterministic_time = left_s
+        if solve(solver, model, clock) != OPTIMAL:
+            return None
+        left_s -= tuning.round + solver.response_proto.deterministic_time
+        used = {label: solver.boolean_value(use) for label, use in of_label.items()}
+        reach = Reach(core, [core.goal, *(label for label, is_used in used.items() if is_used)])
+        if reach.runs(core.goal):
+            return set(reach.order) - {core.goal}
+        unused = [label for label, is_used in used.items() if not is_used]
+        unused.sort(key=lambda label: (cost[label], label))
+        model.add_bool_or([of_label[label] for label in _missed(core.goal, reach, unused)])
+    return None
+
+
+def _missed(goal: int, reach: Reach, unused: Iterable[int]) -> list[int]:
+    """Return a landmark that the labels of `reach` miss: every plan uses one of its labels.
+
+    Unused labels are added in turn, except those with which the goal could be started: these are the landmark.
+    """
+    missed = []
+    for label in unused:
+        reach.add(label)
+        if reach.runs(goal):
+            reach.take_back()
+            missed.append(label)
+    return missed
