@@ -22,10 +22,12 @@ sys.path.append(str(Path(__file__).parents[2]))
 from experiments.families.nao import nao
 
 PLANNERS = ("cpsat", "highs")
+SIZES = {5: (2, 4), 10: (2, 5, 8), 20: (4, 10, 16), 40: (8, 20, 32)}
+"""Numbers of robots, and how many of them are fused."""
 FAMILIES = tuple(
-    {"robots": robots, "fusion": max(2, round(robots * share)), "sharing": sharing, "cameras": cameras}
-    for robots, share in product((5, 10, 20, 40), (0.2, 0.5, 0.8))
-    for sharing, cameras in ((2, 1), (4, 1), (1, 2), (2, 2), (1, 4))
+    {"robots": robots, "fusion": fusion, "sharing": sharing, "cameras": cameras}
+    for robots, numbers in SIZES.items()
+    for fusion, (sharing, cameras) in product(numbers, ((2, 1), (4, 1), (1, 2), (2, 2), (1, 4)))
 )
 TIMES = 3
 
