@@ -30,6 +30,7 @@ MIXED = "the shop, and `deployments.py` with one input that tells apart"
 HARD_ONES = "`deployments.py`, seeds 300, 311 and 323 with 20 hosts"
 TRANSPORTS = "transport and random libraries with costs alike, seeds 0 to 120"
 TOYS = "`toys.py`"
+SHARED = "NAO with shared cameras, and libraries with distinct inputs, seeds 501 to 506"
 SERVED = "`count`, `optional` and `serves`, below"
 
 
@@ -54,6 +55,10 @@ class Decide:
     choices: int = row(
         100, "facts", "Not if more facts than this have more providers than they take.", "NAO; random libraries"
     )
+    parts: int = row(120, "parts", "Among so many that share labels the solver chooses.", SHARED)
+    contracted: float = row(0.5, "share of the labels", "Among so many parts it always does.", SHARED)
+    choosing: float = row(0.03, "the engine's s", "It may take so long.", SHARED)
+    round: float = row(0.001, "the engine's s", "Each of its rounds takes so long: a fixed part.", SHARED)
     chained: int = row(
         16, "labels", "Above this size, most expensive chains are charged before the search.", "NAO, 20 robots"
     )

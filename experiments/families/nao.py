@@ -5,6 +5,7 @@ Labor and upkeep are those of `models/nao/pipeline.yaml`, varied by a seeded few
 
 from __future__ import annotations
 
+from dataclasses import replace
 from random import Random
 
 from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
@@ -34,17 +35,29 @@ PIPELINE: tuple[tuple[str, int, int, tuple[str, ...], tuple[str, ...]], ...] = (
 """Label, labor and upkeep in milliseconds, what each input needs and each output gives (Table I)."""
 
 
-def nao(seed: int, *, robots: int = 2, event: str = "registered", fusion: int = 0, horizon_s: int = 60) -> Problem:
+def nao(
+    seed: int,
+    *,
+    robots: int = 2,
+    event: str = "registered",
+    fusion: int = 0,
+    sharing: int = 1,
+    cameras: int = 1,
+    horizon_s: int = 60,
+) -> Problem:
     """Return a problem with one target, the ball's position, and `robots` NAOs that can all provide it.
 
     `event` is `registered` (nothing runs yet), `lost` (the first robot's pipeline has lost its segmenter) or
     `left` (the first robot's transformations but its camera have left the library while its pipeline
-    runs). With `fusion` the target wants a position fused from that many different robots.
+    runs). With `fusion` the target wants a position fused from that many different robots. Each `sharing` robots have
+    a camera in common, and may use those of the next groups of robots too, so that each has `cameras` to choose from.
     """
     if robots < 1 or fusion > robots or fusion == 1:
         raise InvalidValueError("the case needs a robot, and at least two of them for a fusion")
     random = Random(seed)
     library = [t for robot in range(1, robots + 1) for t in _pipeline(random, f"nao{robot:02}")]
+    if sharing > 1 or cameras > 1:
+        library = _with_shared_cameras(library, robots, sharing, cameras)
     targets = (Target("ball", POSITION, "/result"),)
     running = Environment((), tuple(t for t in library if t.label.endswith("(nao01)")), targets)
     similarity = Similarity({tag: frozenset({tag}) for t in library for port in t.outputs for tag in (port.tag,)})
@@ -70,6 +83,24 @@ def nao(seed: int, *, robots: int = 2, event: str = "registered", fusion: int = 
         targets = (Target("ball", FUSED, "/result"),)
         similarity = Similarity({**similarity.offers, FUSED: frozenset({FUSED})})
     return Problem(Environment(units, tuple(library), targets), similarity, horizon_s)
+
+
+def _with_shared_cameras(
+    library: list[Transformation], robots: int, sharing: int, cameras: int
+) -> list[Transformation]:
+    """Leave a camera for each `sharing` robots; it films for `cameras` groups of them, the first follows the last."""
+    groups = [range(first, min(first + sharing, robots + 1)) for first in range(1, robots + 1, sharing)]
+    films: dict[str, list[str]] = {}
+    for number, group in enumerate(groups):
+        served = sorted({robot for step in range(cameras) for robot in groups[(number + step) % len(groups)]})
+        films[f"bottom_cam(nao{group[0]:02})"] = [f"YUVImage and hasSource some {{nao{robot:02}}}" for robot in served]
+    return [
+        replace(t, outputs=tuple(OutputPort(f"out{i}", tag) for i, tag in enumerate(films[t.label])))
+        if t.label in films
+        else t
+        for t in library
+        if t.label in films or not t.label.startswith("bottom_cam")
+    ]
 
 
 def _pipeline(random: Random, robot: str) -> list[Transformation]:

@@ -71,6 +71,8 @@ PLAIN: dict[str, Callable[[int], Made]] = {
 OTHERS: dict[str, Callable[[int], Made]] = {
     "distinct, 500": lambda seed: [random_library(seed, transformations=500, targets=3, distinct=0.5)],
     "10 of 20 robots fused": lambda seed: [nao(seed, robots=20, fusion=10)],
+    "10 of 20 robots fused, two share": lambda seed: [nao(seed, robots=20, fusion=10, sharing=2, cameras=2)],
+    "distinct, 100": lambda seed: [random_library(seed, transformations=100, targets=3, distinct=0.5)],
     "required, 500": lambda seed: [_required(seed, 500)],
     "required, 5,000": lambda seed: [_required(seed, 5_000)],
     "replanning, 500": lambda seed: _replanning(seed, 500, 3),

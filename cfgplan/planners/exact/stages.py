@@ -8,6 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from cfgplan.planners.bounding.branching import Branching
+from cfgplan.planners.bounding.contraction import cheapest_choice
 from cfgplan.planners.bounding.disjoint import disjoint_bound
 from cfgplan.planners.exact.answer_sets import prove_by_answer_sets
 from cfgplan.planners.exact.candidates import Candidates
@@ -72,10 +73,11 @@ def use_all_required(work: SolveRun) -> bool:
     return True
 
 
-def prove_by_disjoint_parts(work: SolveRun) -> bool:
-    """Add up disjoint parts of a plan if inputs are distinct and no landmarks are known yet.
+def prove_by_parts(work: SolveRun) -> bool:
+    """Choose the cheapest parts of a plan if inputs are distinct and no landmarks are known yet.
 
-    If many facts have more providers than they take, this is skipped: their parts mostly share labels.
+    Parts that share nothing are added up, others are chosen by the solver. If many facts have more providers than they
+    take, this is skipped: their parts mostly share labels.
     """
     network, core, tuning = work.structure.network, work.structure.network.core, work.clock.tuning.decide
     if work.memory.has_landmarks or core.takes is None or core.goal > tuning.disjoint or core.choices > tuning.choices:
@@ -84,9 +86,12 @@ def prove_by_disjoint_parts(work: SolveRun) -> bool:
     if weights is None:
         return False
     value, plan = disjoint_bound(core, weights.each, network.pinned, work.clock.each)
+    if weights.of_plan(plan) > weights.least(value) or not is_plan(network, plan):
+        chosen = cheapest_choice(core, weights.each, network.pinned, work.clock)
+        if chosen is None or not is_plan(network, chosen):
+            return False
+        value, plan = weights.of_plan(chosen), chosen
     labels = sorted(plan)
-    if weights.of_plan(labels) > weights.least(value) or not is_plan(network, plan):
-        return False
     work.take(Remaining(labels, value, is_complete=False), network, weights, labels)
     work.clock.end("bounds")
     return work.state.is_over
@@ -207,7 +212,7 @@ STAGES: Final[tuple[Stage, ...]] = (
     plan_fleet,
     use_all_required,
     prove_by_answer_sets,
-    prove_by_disjoint_parts,
+    prove_by_parts,
     decide_all,
     raise_bound,
     decide_remaining,
