@@ -22,7 +22,7 @@ from cfgplan.cache_folder import cache_folder
 PAYS_AFTER: Final = 8
 """The number of questions after which the archive is made: making it takes as much CPU time as it saves in these."""
 MOST_ARCHIVES: Final = 3
-"""The number of archives that are kept, each of 20 MB; the oldest are dropped first."""
+"""The number of archives that are kept, each of 20 MB; the one that was not used for longest is dropped first."""
 NO_HURRY_S: Final = 30.0
 """The least time limit of a question after which an archive may be made."""
 _MAKING_S: Final = 60.0
@@ -49,11 +49,16 @@ class ClassArchive:
     main: str
 
     @property
-    def flags(self) -> Sequence[str]:
-        """The options that let Java use the archive; empty while it does not exist."""
-        base, own = self.folder / _JAVA_ARCHIVE, self.folder / _OWN
-        if not own.exists():
+    def _exists(self) -> bool:
+        return (self.folder / _OWN).exists()
+
+    def use(self) -> Sequence[str]:
+        """Note a use of the archive. Returns the options that let Java use it; empty while it does not exist."""
+        if not self._exists:
             return ()
+        base, own = self.folder / _JAVA_ARCHIVE, self.folder / _OWN
+        with suppress(OSError):
+            os.utime(self.folder)
         return (
             # Java says nothing of an archive that it can't use.
             *("-Xlog:disable", "-Xlog:all=off", "-XX:+IgnoreUnrecognizedVMOptions", "-XX:+VerifySharedSpaces"),
@@ -78,7 +83,7 @@ class ClassArchive:
         from subprocess import TimeoutExpired
 
         with suppress(FileNotFoundError):
-            if time.time() - self.folder.stat().st_mtime > _ABANDONED_S and not self.flags:
+            if time.time() - self.folder.stat().st_mtime > _ABANDONED_S and not self._exists:
                 shutil.rmtree(self.folder)
         self.folder.mkdir()
         base, own, question = (self.folder / name for name in (_JAVA_ARCHIVE, f"{_OWN}.part", "question.ofn"))
@@ -92,9 +97,10 @@ class ClassArchive:
         except TimeoutExpired:
             pass
         finally:
-            if not self.flags:
+            if not self._exists:
                 shutil.rmtree(self.folder, ignore_errors=True)
         for folder in sorted(self.folder.parent.glob("*/"), key=lambda path: path.stat().st_mtime)[:-MOST_ARCHIVES]:
+            folder.with_suffix(".asked").unlink(missing_ok=True)
             shutil.rmtree(folder, ignore_errors=True)
 
     def _run(self, *arguments: str | Path) -> None:

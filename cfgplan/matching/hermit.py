@@ -128,7 +128,7 @@ def _run(
         question.write_text(document, encoding="ascii")
     java, jar = _java_command(), _jar()
     archive = archive_for(java, _OPTIONS, jar, _MAIN)
-    flags = () if archive is None else archive.flags
+    flags = () if archive is None else archive.use()
     command = [java, *_OPTIONS, *flags, "-cp", str(jar), _MAIN, *arguments]
     command += [question.as_uri() for question in questions]
     with said.open("wb") as output, errors.open("wb") as faults:

@@ -86,9 +86,9 @@ def made(made_for_all: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 def test_the_archive_is_made_once_it_pays_and_then_used(made_for_all: Made, made: Path) -> None:
     assert (made_for_all.before, made_for_all.after) == (0, 1)
     assert {path.name for path in made.iterdir()} >= {"java.jsa", "hermit.jsa"}
-    before = {path: path.stat().st_mtime_ns for path in made_for_all.folder.rglob("*")}
+    before = {path: path.stat().st_mtime_ns for path in made_for_all.folder.rglob("*.*")}
     assert ask() == {"t:0": True}
-    assert {path: path.stat().st_mtime_ns for path in made_for_all.folder.rglob("*")} == before
+    assert {path: path.stat().st_mtime_ns for path in made_for_all.folder.rglob("*.*")} == before
     loaded = classes_from_the_archive(made)
     assert any("org.semanticweb.HermiT" in line for line in loaded)
 
@@ -100,7 +100,7 @@ def classes_from_the_archive(made: Path) -> list[str]:
     assert archive.folder == made
     question = made.parent / "question.ofn"
     question.write_text(DOCUMENT)
-    flags = [flag for flag in archive.flags if not flag.startswith("-Xlog")]
+    flags = [flag for flag in archive.use() if not flag.startswith("-Xlog")]
     asked = ["-cp", str(archive.jar), archive.main, "--consistency=t:0", question.as_uri()]
     command = [archive.java, *archive.options, *flags, "-Xlog:class+load", *asked]
     said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
@@ -161,7 +161,7 @@ def test_an_archive_that_cannot_be_made_is_tried_again_ever_more_rarely(
         asked += 1
         archive.count(None)
     assert tried == [8, 16, 32, 64]
-    assert archive.flags == ()
+    assert archive.use() == ()
 
 
 def test_another_java_jar_or_option_has_another_archive(tmp_path: Path) -> None:
@@ -174,18 +174,20 @@ def test_another_java_jar_or_option_has_another_archive(tmp_path: Path) -> None:
     assert class_archive.archive_for("no-such-java", (), jar, "Main") is None
 
 
-def test_only_a_few_archives_are_kept(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_archives_that_were_used_last_are_kept(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(class_archive, "PAYS_AFTER", 1)
-    for number in range(5):
-        (cache / f"old{number}").mkdir(parents=True)
-        os.utime(cache / f"old{number}", (number, number))
-    archive = class_archive.archive_for(sys.executable, (), Path(__file__), "Main")
-    assert archive is not None
     monkeypatch.setattr(class_archive.ClassArchive, "_run", lambda made, *_: (made.folder / "hermit.jsa.part").touch())
-    archive.count(None)
-    assert archive.flags
-    assert len(archives(cache)) == class_archive.MOST_ARCHIVES
-    assert not (cache / "old0").exists()
+    jars = [Path(__file__), Path(class_archive.__file__), Path(pytest.__file__), Path(os.__file__)]
+    made = [class_archive.archive_for(sys.executable, (), jar, "Main") for jar in jars]
+    for number, archive in enumerate(made):
+        assert archive is not None
+        archive.count(None)
+        os.utime(archive.folder, (number, number))
+        if number == class_archive.MOST_ARCHIVES - 1:
+            assert made[0] is not None and made[0].use(), "it is no longer the one that was not used for longest"
+    assert [archive is not None and bool(archive.use()) for archive in made] == [True, False, True, True]
+    dropped = made[1]
+    assert dropped is not None and not dropped.folder.with_suffix(".asked").exists(), "it may be made again as soon"
 
 
 @one_archive
