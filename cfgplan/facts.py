@@ -205,12 +205,14 @@ class Fact:
                 ) from None
         if isinstance(found, str) and isinstance(self.declared, bool):
             return self.read(found.strip().lower())
-        is_word = isinstance(found, str) and isinstance(self.declared, str)
-        try:
-            is_said = is_word or isinstance(found, bool)
-            value = found if is_said else micro_units(round(Decimal(str(found).strip()), 6), LARGEST_FACT)
-        except ArithmeticError:
-            raise InvalidValueError(f"fact {self.name!r} is {kind_of(self.declared)}, not {found!r:.60}") from None
+        value: FactValue
+        if isinstance(found, bool) or (isinstance(found, str) and isinstance(self.declared, str)):
+            value = found
+        else:
+            try:
+                value = micro_units(round(Decimal(str(found).strip()), 6), LARGEST_FACT)
+            except ArithmeticError:
+                raise InvalidValueError(f"fact {self.name!r} is {kind_of(self.declared)}, not {found!r:.60}") from None
         if kind_of(value) != kind_of(self.declared):
             raise InvalidValueError(f"fact {self.name!r} is {kind_of(self.declared)}, not {found!r:.60}")
         return value
