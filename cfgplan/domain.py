@@ -7,7 +7,7 @@ are equal exactly when they mean the same, whatever order they were written in.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
 from itertools import groupby
@@ -32,7 +32,7 @@ from cfgplan.qualities import (
     Told,
     units,
 )
-from cfgplan.rows import ELEMENT, Feature, Row, Use
+from cfgplan.rows import ELEMENT, FOUND, Feature, Row, Use
 from cfgplan.similarity import Similarity as Similarity
 from cfgplan.summary import Summary, counted, cpu, summarised, summary, tabled
 from cfgplan.targets import A_UNIT_OF as A_UNIT_OF
@@ -298,7 +298,7 @@ class Environment:
     microseconds of CPU time, unless the first of the `links` that joins the two hosts has a price of its own.
     `minimise` lists the objectives of an update, the most important first; the cost comes last unless it is listed, and
     ties are broken by fewer rewired, then fewer started units. Planners get `possible`: the environment whose library
-    omits transformations that require other `facts`.
+    omits transformations that require other `facts`. `omitted` are these transformations, each with the reason.
     """
 
     units: tuple[ComputationUnit, ...] = ()
@@ -310,6 +310,7 @@ class Environment:
     links: tuple[Link, ...] = ()
     minimise: Annotated[tuple[Objective, ...], Row(feature=Feature.ORDER)] = (Objective.COST,)
     facts: Annotated[tuple[Fact, ...], Row(use=Use.NONE)] = ()
+    omitted: Annotated[tuple[tuple[Transformation, str], ...], FOUND] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         if Objective.COST not in self.minimise:
@@ -685,7 +686,12 @@ class Environment:
         """The environment whose library omits the transformations that the present facts forbid."""
         if not self.left_out:
             return self
-        return replace(self, library=tuple(t for t in self.library if t.label not in self.left_out))
+        return self.omitting(self.left_out)
+
+    def omitting(self, labels: Mapping[str, str]) -> Environment:
+        """Return the environment whose library omits the transformations of these labels, each with the reason."""
+        omitted = tuple((t, labels[t.label]) for t in self.library if t.label in labels)
+        return replace(self, library=tuple(t for t in self.library if t.label not in labels), omitted=omitted)
 
     def hosts_for(self, transformation: Transformation) -> tuple[str | None, ...]:
         """Return the names of the hosts where the present facts let units of a transformation run, in order; (None,)

@@ -35,7 +35,7 @@ fits into 64 bits.
 """
 HOST_MARK: Final = "{host}"
 """It stands for the name of a host in the tag and the topic that observe a fact of hosts."""
-_NUMBER: Final = re.compile(r"-?[0-9]+(\.[0-9]+)?")
+_NUMBER: Final = re.compile(r"-?[0-9]+(?:\.[0-9]+)?(?:[eE][-+]?[0-9]{1,2})?")
 _TRUTH: Final = {"true": True, "false": False}
 _SIGNS: Final[Mapping[str, Callable[[int, int], bool]]] = MappingProxyType(
     {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
@@ -203,12 +203,16 @@ class Fact:
                 raise InvalidValueError(
                     f"fact {self.name!r}: an element has no field {self.field!r}: {element!r:.60}"
                 ) from None
-        if isinstance(found, str) and not isinstance(self.declared, str):
+        if isinstance(found, str) and isinstance(self.declared, bool):
             return self.read(found.strip().lower())
-        try:
-            value = found if isinstance(found, bool | str) else micro_units(round(Decimal(str(found)), 6), LARGEST_FACT)
-        except ArithmeticError:
-            raise InvalidValueError(f"fact {self.name!r} is {kind_of(self.declared)}, not {found!r:.60}") from None
+        value: FactValue
+        if isinstance(found, bool) or (isinstance(found, str) and isinstance(self.declared, str)):
+            value = found
+        else:
+            try:
+                value = micro_units(round(Decimal(str(found).strip()), 6), LARGEST_FACT)
+            except ArithmeticError:
+                raise InvalidValueError(f"fact {self.name!r} is {kind_of(self.declared)}, not {found!r:.60}") from None
         if kind_of(value) != kind_of(self.declared):
             raise InvalidValueError(f"fact {self.name!r} is {kind_of(self.declared)}, not {found!r:.60}")
         return value
@@ -350,7 +354,7 @@ class _RequirementReader(ExpressionReader[Requirement]):
     what = "requirement"
     wanted = "a fact"
     examples = "a fact, such as `night` or `visibility >= 2.25`"
-    more_tokens = r"-?\d+(?:\.\d+)?(?![\w.-])|[<>=]=|[<>]|"
+    more_tokens = rf"{_NUMBER.pattern}(?![\w.-])|[<>=]=|[<>]|"
     top = Requirement((), lambda _: None)
     bottom = Requirement((), lambda _: ())
 

@@ -6,12 +6,18 @@ from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Protocol, TypeVar
+from itertools import chain
+from typing import Final, Protocol, TypeVar
 
 from cfgplan.domain import A_UNIT_OF, Environment, InputPort, Similarity, Transformation
 from cfgplan.onward import grouped
 from cfgplan.planning import Problem
+from cfgplan.summary import some
 
+LEFT_OUT: Final = "left out for now"
+"""These words of a reason say that facts or failures forbid transformations."""
+_MOST_OMITTED = 3
+"""The most omitted transformations named in a reason; `left_out` of the environment has all."""
 Item = TypeVar("Item")
 
 
@@ -31,11 +37,11 @@ def unmet_reasons(
     environment = problem.environment
     providers = Providers(environment.library, problem.similarity.optimistic) if providers is None else providers
     possible = startable(environment, providers) if possible is None else possible
-    return {
-        target.label: _reason(f"target {target.label}", target.tag, environment, providers, possible)
-        for target in environment.targets
-        if possible.isdisjoint(providers.of(target.tag))
-    }
+    unmet = [target for target in environment.targets if possible.isdisjoint(providers.of(target.tag))]
+    if not unmet:
+        return {}
+    dead_ends = _DeadEnds(environment, problem.similarity.optimistic, possible)
+    return {target.label: dead_ends.reason(f"target {target.label}", target.tag) for target in unmet}
 
 
 def pinned_reasons(problem: Problem) -> dict[str, str]:
@@ -56,7 +62,8 @@ def pinned_reasons(problem: Problem) -> dict[str, str]:
             if unit.transformation in optimistic:
                 why = "it is not decided yet whether its possible feeders match"
             elif unfed:
-                why = _reason(f"its input {unfed[0].name}", unfed[0].tag, environment, providers, possible)
+                dead_ends = _DeadEnds(environment, problem.similarity, possible)
+                why = dead_ends.reason(f"its input {unfed[0].name}", unfed[0].tag)
             found[unit.id] = f"pinned unit {unit.id} can't be fed: {why}"
     return found
 
@@ -83,7 +90,11 @@ class Providers:
 
     def among(self, labels: Collection[str]) -> Providers:
         """The same for a part of the library."""
-        return Providers([t for t in self._library if t.label in labels], self._similarity)
+        return self.of_others([t for t in self._library if t.label in labels])
+
+    def of_others(self, library: Sequence[Transformation]) -> Providers:
+        """The same for another library."""
+        return Providers(library, self._similarity)
 
     @cached_property
     def _offering(self) -> Mapping[str, list[str]]:
@@ -287,30 +298,69 @@ def _is_fed_by(
     )
 
 
-def _reason(who: str, tag: str, environment: Environment, providers: Providers, possible: frozenset[str]) -> str:
-    """A sentence that names the nearest dead end: why nothing in `possible` can feed the demand of `who` for `tag`."""
-    wanted = f"{who} wants {tag}"
-    if not providers.of(tag):
-        return f"{wanted}, but " + ("there is no such one" if tag.startswith(A_UNIT_OF) else "no output matches")
-    ahead, seen = list(providers.of(tag)), set(providers.of(tag))
-    for label in ahead:
-        transformation = environment.transformation[label]
-        for port in transformation.needed_inputs:
-            if not providers.of(port.tag):
-                return f"{wanted}, but input {port.name} of {label} needs {port.tag}, and no output matches"
-        for port in transformation.needed_inputs:
-            if possible.isdisjoint(providers.of(port.tag)):
-                new = [provider for provider in providers.of(port.tag) if provider not in seen]
-                ahead += new
-                seen.update(new)
-        for group in distinct_groups(transformation):
-            if assign_different({p.name: providers.of(p.tag) for p in group}) is None:
-                names = " and ".join(port.name for port in group)
-                return f"{wanted}, but inputs {names} of {label} need different transformations, and there are too few"
-    for label in ahead:
-        if all(not possible.isdisjoint(providers.of(p.tag)) for p in environment.transformation[label].needed_inputs):
-            groups = distinct_groups(environment.transformation[label])
-            names = " and ".join(port.name for group in groups for port in group)
-            return f"{wanted}, but inputs {names} of {label} need different transformations, and too few can be fed"
-    cycle = ", ".join(ahead[:4]) + (" ..." if len(ahead) > 4 else "")
-    return f"{wanted}, but the transformations that offer it are fed only by each other: {cycle}"
+class _DeadEnds:
+    """Why nothing in `possible`, the startable transformations of an environment, can feed a demand.
+
+    Transformations that the environment's library omits count as reasons where they are all that is missing.
+    """
+
+    def __init__(self, environment: Environment, similarity: Similarity, possible: frozenset[str]) -> None:
+        self._omitted = {t.label: why for t, why in environment.omitted}
+        if self._omitted:
+            library = (*environment.library, *(t for t, _ in environment.omitted))
+            environment = replace(environment, library=library, omitted=())
+        self._environment = environment
+        self._providers = Providers(environment.library, similarity)
+        self._possible = startable(environment, self._providers) if self._omitted else possible
+        self._possible_now = possible
+
+    def reason(self, who: str, tag: str) -> str:
+        """A sentence that names the nearest dead end: why nothing can feed the demand of `who` for `tag`."""
+        wanted = f"{who} wants {tag}"
+        if not self._possible.isdisjoint(self._providers.of(tag)):
+            named = (f"{label} ({self._omitted[label]})" for label in self._omitted_for(tag))
+            return f"{wanted}, but needs transformations that are {LEFT_OUT}: {some(named, _MOST_OMITTED)}"
+        return f"{wanted}, but {self._nearest(tag)}"
+
+    def _omitted_for(self, tag: str) -> list[str]:
+        """The omitted transformations without which `tag` can't be fed now, the nearest first."""
+        ahead = [label for label in self._providers.of(tag) if label in self._possible]
+        seen, found = set(ahead), []
+        for label in ahead:
+            if label in self._omitted:
+                found.append(label)
+                continue
+            transformation = self._environment.transformation[label]
+            ports = [*transformation.needed_inputs, *chain(*distinct_groups(transformation))]
+            givers = {giver for port in ports for giver in self._providers.of(port.tag)}
+            new = sorted((givers & self._possible) - self._possible_now - seen)
+            ahead += new
+            seen.update(new)
+        return found
+
+    def _nearest(self, tag: str) -> str:
+        providers, possible = self._providers, self._possible
+        if not providers.of(tag):
+            return "there is no such one" if tag.startswith(A_UNIT_OF) else "no output matches"
+        ahead, seen = list(providers.of(tag)), set(providers.of(tag))
+        for label in ahead:
+            transformation = self._environment.transformation[label]
+            for port in transformation.needed_inputs:
+                if not providers.of(port.tag):
+                    return f"input {port.name} of {label} needs {port.tag}, and no output matches"
+            for port in transformation.needed_inputs:
+                if possible.isdisjoint(providers.of(port.tag)):
+                    new = [provider for provider in providers.of(port.tag) if provider not in seen]
+                    ahead += new
+                    seen.update(new)
+            for group in distinct_groups(transformation):
+                if assign_different({p.name: providers.of(p.tag) for p in group}) is None:
+                    names = " and ".join(port.name for port in group)
+                    return f"inputs {names} of {label} need different transformations, and there are too few"
+        for label in ahead:
+            transformation = self._environment.transformation[label]
+            if all(not possible.isdisjoint(providers.of(port.tag)) for port in transformation.needed_inputs):
+                names = " and ".join(port.name for group in distinct_groups(transformation) for port in group)
+                return f"inputs {names} of {label} need different transformations, and too few can be fed"
+        cycle = ", ".join(ahead[:4]) + (" ..." if len(ahead) > 4 else "")
+        return f"the transformations that offer it are fed only by each other: {cycle}"

@@ -265,6 +265,11 @@ def test_what_can_not_observe_is_refused_with_its_place(observed: Path, fact: st
         (1, "sonar.range", {"sonar": {"range": 4}}, 4_000_000),
         (True, None, False, False),
         ("survey", "mode", {"mode": "transit"}, "transit"),
+        (1, None, " 12.5 ", 12_500_000),
+        (1, None, "0.30000000000000004", 300_000),
+        (1, None, "1e-05", 10),
+        (1, None, "-2.5E+3", -2_500_000_000),
+        (True, None, "False", False),
     ],
 )
 def test_an_element_says_the_value_of_a_fact(
@@ -283,6 +288,8 @@ def test_an_element_says_the_value_of_a_fact(
         (None, True, "is a number, not True"),
         (None, None, "is a number, not None"),
         (None, float("nan"), "is not a finite number"),
+        (None, "nan", "is not a finite number"),
+        (None, float("inf"), "is a number, not inf"),
         (None, 1e300, "is a number, not 1e+300"),
         (None, 1e13, "is too large: the limit is 1,000,000,000,000"),
     ],
@@ -290,6 +297,13 @@ def test_an_element_says_the_value_of_a_fact(
 def test_an_element_that_says_no_value_is_refused(field: str | None, element: object, message: str) -> None:
     with pytest.raises(InvalidValueError, match=re.escape(message)):
         Fact("f", 1, by="F", field=field).value_in(element)
+
+
+@pytest.mark.parametrize(("text", "value"), [("1e3", 1_000_000_000), ("2.5e-3", 2_500), (str(0.00001), 10)])
+def test_numbers_with_an_exponent_are_numbers_in_files_and_requests(text: str, value: int) -> None:
+    assert Fact("f", 1).read(text) == value
+    (comparison,) = requirement(f"f >= {text}").comparisons
+    assert comparison.value == value
 
 
 FOLLOWING = """

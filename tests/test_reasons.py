@@ -110,3 +110,48 @@ def test_thousands_of_inputs_may_have_to_be_fed_anew() -> None:
     expected = {"last": "f0", **{f"p{n}": f"f{n + 1}" for n in range(number)}}
     assert assign_different(choices) == expected
     assert different_choices_exist({port: set(labels) for port, labels in choices.items()})
+
+
+def omitting(wanted: str, omitted: dict[str, str], *library: Transformation) -> str | None:
+    environment = Environment((), library, (Target("q", wanted, "/q"),)).omitting(omitted)
+    return unmet_reasons(Problem(environment, Similarity({tag: frozenset(tag) for tag in "ABCDE"}), 1)).get("q")
+
+
+def test_what_only_omitted_transformations_could_feed_is_said_with_the_reasons() -> None:
+    night, murky = "night is true", "visibility is 1 m"
+    library = make("eye", "", "A"), make("sonar", "", "A"), make("map", "A", "B"), make("drive", "B", "C")
+    left_out = "but needs transformations that are left out for now:"
+    assert omitting("C", {"eye": night}, *library) is None
+    both = omitting("C", {"eye": night, "sonar": murky}, *library)
+    assert both == f"target q wants C, {left_out} eye ({night}), sonar ({murky})"
+    assert omitting("A", {"eye": night}, library[0]) == f"target q wants A, {left_out} eye ({night})"
+    assert omitting("C", {"eye": night, "drive": murky}, *library) == f"target q wants C, {left_out} drive ({murky})"
+
+
+def test_omitted_transformations_that_could_not_be_fed_either_are_no_reason() -> None:
+    text = omitting("B", {"map": "night is true"}, make("map", "A", "B"), make("other", "D", "B"))
+    assert text == "target q wants B, but input in0 of map needs A, and no output matches"
+
+
+def test_omitted_members_of_a_distinct_group_are_said() -> None:
+    fusion = make("fusion", "AA", "B", distinct="g")
+    text = omitting("B", {"eye": "night is true"}, make("eye", "", "A"), make("sonar", "", "A"), fusion)
+    assert text == "target q wants B, but needs transformations that are left out for now: eye (night is true)"
+
+
+def test_an_omitted_transformation_that_a_target_wants_to_run_is_said() -> None:
+    environment = Environment((), (make("eye", "", "A"),), (Target("q", run="eye"),)).omitting({"eye": "it is night"})
+    (text,) = unmet_reasons(Problem(environment, Similarity({}), 1)).values()
+    assert text.endswith("but needs transformations that are left out for now: eye (it is night)")
+
+
+@given(st.sets(st.sampled_from("abcdef"), min_size=1), st.lists(st.sampled_from(["", "A", "B", "AB"]), min_size=6))
+def test_with_the_named_transformations_the_target_could_be_met(gone: set[str], needs: list[str]) -> None:
+    library = [make(label, need, give) for label, need, give in zip("abcdef", needs, "ABABCC", strict=False)]
+    text = omitting("C", dict.fromkeys(gone, "now"), *library)
+    if text is not None and "left out" in text:
+        named = {label for label in gone if f"{label} (now)" in text}
+        assert named
+        assert omitting("C", dict.fromkeys(gone - named, "now"), *library) != text
+    elif text is not None:
+        assert omitting("C", {}, *library) == text

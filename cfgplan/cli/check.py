@@ -31,7 +31,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         help="report only what is wrong in ENV but not in this file, such as ENV before a change",
     )
     shared.add_survive(parser)
-    shared.add_observed(parser)
+    shared.add_what_if(parser)
     shared.add_matching(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)
@@ -50,9 +50,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         return _nothing_runs(options, world, screen, all_start=not faulty)
     found, gone = every, 0
     if options.against is not None:
-        before = {
-            fault.key for fault in _faults(argparse.Namespace(**{**vars(options), "env": options.against}), screen)[1]
-        }
+        before = {fault.key for fault in _faults(options, screen, options.against)[1]}
         found = tuple(fault for fault in every if fault.key not in before)
         gone = len(before - {fault.key for fault in every})
     broken = [fault for fault in found if fault.breaks]
@@ -105,16 +103,21 @@ def _left_out(world: World) -> dict[str, object]:
     return {key: said for key, said in told.items() if said}
 
 
-def _faults(options: argparse.Namespace, screen: Screen) -> tuple[World, tuple[WiringFault, ...], tuple[str, ...]]:
-    """Return the world that the options name, its faults and oddities, and the limits of its observations."""
+def _faults(
+    options: argparse.Namespace, screen: Screen, env: str | None = None
+) -> tuple[World, tuple[WiringFault, ...], tuple[str, ...]]:
+    """Return the world of the file `env`, or else of the one that the options name, its faults and oddities, and the
+    limits of its observations.
+    """
     from cfgplan import answers, api
     from cfgplan.explaining import probable_first
     from cfgplan.observed import hidden
     from cfgplan.observers import blurred
     from cfgplan.planners.undecided import used_pairs
     from cfgplan.ros.hearing import ros_faults
+    from cfgplan.shared_states import double_owners, shared_states
 
-    world = shared.load(options, screen)
+    world = shared.load(options, screen, env)
     matches = shared.matches(options, screen, world, api.FEW_PAIRS)
     with screen.phase("match"):
         matches.decide([*used_pairs(world.environment, matches.similarity)])
@@ -123,6 +126,7 @@ def _faults(options: argparse.Namespace, screen: Screen) -> tuple[World, tuple[W
         reasoning = {"reasoner": options.reasoner, "reasoner_limit_s": options.reasoner_timeout}
         found = answers.wiring_faults(world, problem, **reasoning)
         noisy = (*blurred(world.environment, problem.similarity), *hidden(world.environment, problem.similarity))
+        noisy = (*noisy, *double_owners(world.environment), *shared_states(problem))
         return world, tuple(sorted([*ros_faults(world.environment), *found], key=probable_first)), noisy
 
 

@@ -54,14 +54,14 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     plot = "draw each planner's best cost and bound over time, as .svg, .png or .pdf (needs the extra `plots`)"
     parser.add_argument("--plot", type=shared.plot_file, metavar="FILE", help=plot)
     parser.add_argument("--traceback", action="store_true", help="print the traceback of a planner that crashed")
-    shared.add_observed(parser)
+    shared.add_what_if(parser)
     shared.add_matching(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
-    from cfgplan import api, comparing
+    from cfgplan import comparing
     from cfgplan.cli.styled import Text
 
     for name in options.planner or ():
@@ -72,9 +72,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     runs, contradictions = [], []
     plotted: dict[str, list[Run]] = {}
     for env in options.envs:
-        with screen.phase("load"):
-            world = api.load(env)
-            world = api.what_if(world, observed=options.observed) if options.observed else world
+        world = shared.load(options, screen, env)
         problem = shared.problem(options, screen, world)
         found: list[Run] = []
         with screen.phase("plan") as work:

@@ -261,6 +261,7 @@ def add_export(parser: argparse.ArgumentParser) -> None:
     launch.add_argument(
         "--host", metavar="NAME", help="write only the units of this host; needed if the file has hosts"
     )
+    shared.add_what_if(parser, "only for `export launch`")
     shared.add_out(parser)
     parser.set_defaults(run=_export)
 
@@ -268,9 +269,10 @@ def add_export(parser: argparse.ArgumentParser) -> None:
 def _export(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan import api
 
-    if options.what != "launch" and (options.plan or options.only or options.host or options.include):
+    of_launch = options.plan or options.only or options.host or options.include or shared.asks_what_if(options)
+    if options.what != "launch" and of_launch:
         raise InputError.of(
-            "--plan, --only, --include and --host are only for `export launch`",
+            "--plan, --only, --include, --host and `what if` options are only for `export launch`",
             mend="write `cfgplan export launch ENV`",
         )
     if options.what == "schema":
@@ -291,8 +293,7 @@ def _export_launch(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan import __version__, api
     from cfgplan.ros.launch import IncludedLaunch, launch_text
 
-    with screen.phase("load"):
-        world = api.load(options.env)
+    world = shared.load(options, screen)
     with screen.phase("plan"):
         if options.plan is None:
             problem, plan = api.solve(world)

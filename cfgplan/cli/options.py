@@ -85,9 +85,7 @@ def add_matching(parser: argparse.ArgumentParser) -> None:
 
 
 def add_planning(parser: argparse.ArgumentParser, what_if: str | None = None) -> None:
-    """Options of every command that plans. `what_if` describes the group `--without`, `--with`, `--set` where it is
-    restricted.
-    """
+    """Options of every command that plans, with a choice of the planner; `what_if` is as in `add_what_if`."""
     from cfgplan.api import PLANNER_NAMES
 
     names = f"the planner: {', '.join(PLANNER_NAMES)}, or your own as module:function (default: cpsat)"
@@ -107,23 +105,30 @@ def add_planning(parser: argparse.ArgumentParser, what_if: str | None = None) ->
         metavar="S",
         help="stop planning after S seconds, once there is a plan; 0: stop at the first plan (default: no limit)",
     )
-    supposing = parser.add_argument_group("what if", what_if)
+    add_what_if(parser, what_if)
+
+
+def add_what_if(parser: argparse.ArgumentParser, restriction: str | None = None) -> None:
+    """Options of every command that plans or judges: a change of the environment. `restriction` says when they are
+    allowed, if not always.
+    """
+    supposing = parser.add_argument_group("what if", restriction)
     gone = "plan without this transformation, running unit or target; may be repeated"
     also = "plan with the transformations and targets of this file too; may be repeated"
     others = (
         "plan with another value; KEY is horizon, max_cost, facts.NAME, T.labor, T.upkeep, T.pinned or T.required "
         "for a transformation T, or T.priority for a target T; may be repeated"
     )
+    observed = "replace declared facts and qualities by those in FILE, written by `cfgplan ctl observed --out FILE`"
     add_several(supposing, "--without", "NAME", gone, kind=normal)
     add_several(supposing, "--with", "FILE", also, dest="also")
     add_several(supposing, "--set", "KEY=VALUE", others, kind=setting, dest="settings")
-    add_observed(supposing)
+    supposing.add_argument("--observed", metavar="FILE", help=observed)
 
 
-def add_observed(parser: argparse._ActionsContainer) -> None:
-    """`--observed`: plan with the facts and qualities of a run in place of the declared ones."""
-    means = "replace declared facts and qualities by those in FILE, written by `cfgplan ctl observed --out FILE`"
-    parser.add_argument("--observed", metavar="FILE", help=means)
+def asks_what_if(options: argparse.Namespace) -> bool:
+    """Whether an option of `add_what_if` is used."""
+    return bool(options.without or options.also or options.settings or options.observed)
 
 
 def add_several(
@@ -166,18 +171,16 @@ def add_survive(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def load(options: argparse.Namespace, screen: Screen) -> api.World:
-    """The world that the options name."""
+def load(options: argparse.Namespace, screen: Screen, env: str | None = None) -> api.World:
+    """The world of the file `env`, or else of the one that the options name, with the changes that they ask for."""
     from cfgplan import api
 
     with screen.phase("load"):
         use_cache = not getattr(options, "no_cache", False)
-        world = api.load(options.env, also=getattr(options, "also", ()), use_cache=use_cache)
-        without, settings = getattr(options, "without", ()), dict(getattr(options, "settings", ()))
-        observed = getattr(options, "observed", None)
-        if not (without or settings or observed):
+        world = api.load(env or options.env, also=getattr(options, "also", ()), use_cache=use_cache)
+        if not hasattr(options, "also") or not asks_what_if(options):
             return world
-        return api.what_if(world, without=without, settings=settings, observed=observed)
+        return api.what_if(world, without=options.without, settings=dict(options.settings), observed=options.observed)
 
 
 def matches(options: argparse.Namespace, screen: Screen, world: api.World, most: int | None = None) -> Matches:

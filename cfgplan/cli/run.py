@@ -161,7 +161,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     if options.reload and (options.connect or options.middleware in OF_ROS):
         what = "files of this computer" if options.connect else "unit code, and not nodes of ROS"
         raise InputError.of(f"--reload watches {what}", mend="use `cfgplan ctl restart UNIT`")
-    if not options.dry_run and (options.without or options.also or options.settings or options.observed):
+    if not options.dry_run and shared.asks_what_if(options):
         mend = "add --dry-run; or edit the file, or use `cfgplan ctl` while it runs"
         raise InputError.of("--without, --with, --set and --observed are allowed only with --dry-run", mend=mend)
     loaded = shared.load(options, screen)

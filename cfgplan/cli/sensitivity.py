@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from cfgplan.canonical import normal
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import Exit
-from cfgplan.cli.plan_text import cpu
+from cfgplan.cli.plan_text import cpu, left_out_lines
 from cfgplan.cli.screen import Screen
 from cfgplan.cli.styled import Text
 from cfgplan.explaining import Sensitivity, Span
@@ -53,6 +53,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         screen.show(sensitivity_text(found))
         if task.problem.max_cost_us is not None:
             screen.note("The largest cost is ignored: it can forbid plans, but makes none cheaper.")
+        for line in left_out_lines(task.world.environment):
+            screen.note(line)
     if not found.spans:
         return Exit.NO_PLAN if found.exact else Exit.NO_ANSWER
     if options.out:

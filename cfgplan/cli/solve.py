@@ -84,6 +84,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 def _solve(options: argparse.Namespace, screen: Screen, task: shared.Task) -> Exit:
     from cfgplan import answers, api
     from cfgplan.cli.plan_text import left_out_lines, update_text
+    from cfgplan.shared_states import double_owners
 
     world, is_proven = task.world, True
     undecided: tuple[Pair, ...] = ()
@@ -122,6 +123,8 @@ def _solve(options: argparse.Namespace, screen: Screen, task: shared.Task) -> Ex
             screen.warn("time ran out before it was proven that no better set of targets can be met")
         for line in left_out_lines(world.environment):
             screen.note(line)
+        for warning in double_owners(problem.after(plan)) if plan.change_set is not None else ():
+            screen.warn(warning)
         started = {unit.transformation for unit in plan.change_set.started} if plan.change_set is not None else set()
         for fault in shared.code_faults(world, sorted(started)):
             screen.warn_of(fault)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from cfgplan.domain import A_UNIT_OF, Environment, InputPort, Transformation
 from cfgplan.matching import Nearest
@@ -20,8 +20,9 @@ class Unfed:
     """A demand for `tag` that can't be fed: the input `port` of a transformation, or a target if `port` is None.
 
     The `providers` are the transformations that would match. All are blocked, except where there are too few of them
-    for a distinct group. `undecided` are the providers whose match is not decided yet. If `providers` is empty,
-    `nearest` are the offered tags most similar to `tag`.
+    for a distinct group. `undecided` are the providers whose match is not decided yet. `left_out` are transformations
+    that would match, but are omitted from the library for now, each with the reason. If there are neither providers nor
+    such transformations, `nearest` are the offered tags most similar to `tag`.
     """
 
     tag: str
@@ -29,6 +30,7 @@ class Unfed:
     providers: tuple[str, ...] = ()
     nearest: tuple[Nearest, ...] = ()
     undecided: tuple[str, ...] = ()
+    left_out: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -90,6 +92,8 @@ class DeadEnds:
         self._environment = environment
         self._givers = providers
         self._decided = decided
+        self._omitted = {transformation.label: why for transformation, why in environment.omitted}
+        self._omitted_givers = providers.of_others([transformation for transformation, _ in environment.omitted])
         self._nearest = nearest
         self._cause: dict[str, tuple[InputPort, ...]] = {}
         self._find_dead_ends()
@@ -195,7 +199,8 @@ class DeadEnds:
 
     def _unfed(self, tag: str, port: str | None) -> Unfed:
         providers = self._givers.of(tag)
-        is_tag = not tag.startswith(A_UNIT_OF)
-        nearest = self._nearest(tag) if is_tag and not providers and self._nearest is not None else ()
+        left_out = {label: self._omitted[label] for label in self._omitted_givers.of(tag)}
+        is_unknown = not (providers or left_out or tag.startswith(A_UNIT_OF))
+        nearest = self._nearest(tag) if is_unknown and self._nearest is not None else ()
         undecided = (provider for provider in providers if provider not in self._decided.of(tag))
-        return Unfed(tag, port, providers, nearest, tuple(undecided))
+        return Unfed(tag, port, providers, nearest, tuple(undecided), left_out)

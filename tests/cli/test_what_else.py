@@ -119,3 +119,62 @@ def test_the_points_of_a_front_have_names(run: Run, tmp_path: Path) -> None:
     drawn = out.read_text()
     assert "<!-- 3  large_detector(r1), " in drawn
     assert "<!-- 4 -->" in drawn
+
+
+@pytest.mark.parametrize("verb", ["check", "solve", "explain", "sensitivity", "graph", "compare", "run", "export"])
+def test_every_verb_that_plans_or_judges_supposes_the_same(verb: str, run: Run) -> None:
+    text = run(verb, "--help").out
+    assert "what if" in text
+    assert all(f"  --{name}" in text for name in ("without NAME", "with FILE", "set KEY=VALUE", "observed FILE"))
+
+
+NIGHT = """
+facts: {night: {declared: false}}
+transformations: [{label: eye, requires: not night, outputs: {i: Image}}]
+units: [{id: eye.1, transformation: eye, topics: {i: [/i]}}]
+targets: [{label: i, topic: /i, tag: Image}]
+"""
+
+
+def test_check_judges_the_supposed_world_and_the_other_file_too(run: Run, write: Callable[[str], Path]) -> None:
+    env = write(NIGHT)
+    assert run("check", env).code == 0
+    at_night = run("check", env, "--set", "facts.night=true")
+    assert (at_night.code, "unit eye.1 may not run now: night is true" in at_night.out) == (1, True)
+    assert run("check", env, "--set", "facts.night=true", "--against", env).code == 0
+    assert "unit eye.1 runs, but no target needs it" in run("check", env, "--without", "i").out
+
+
+def test_all_words_for_what_can_not_be_met_now_name_the_fact(run: Run, write: Callable[[str], Path]) -> None:
+    env = write(NIGHT)
+    dark = (env, "--set", "facts.night=true")
+    unmet = "target i wants Image, but needs transformations that are left out for now: eye (night is true)"
+    assert unmet in run("solve", *dark).out
+    assert run("solve", *dark, "--json").document["reasons"] == {"i": unmet}
+    explained = run("explain", *dark).out
+    assert "target i wants Image, but no transformation that offers it can run" in explained
+    assert "    left out for now: eye, night is true" in explained
+    assert "no output matches" not in explained
+    assert unmet in run("compare", *dark, "--planner", "cpsat", "--planner", "branch-and-bound", "--json").out
+    assert "left out for now: eye, night is true" in run("sensitivity", *dark).err
+
+
+def test_a_plan_for_a_launch_file_is_made_for_the_supposed_world(run: Run, write: Callable[[str], Path]) -> None:
+    assert run("export", "launch", write(NIGHT), "--set", "facts.night=true").code == 10
+    refused = run("export", "yaml", write(NIGHT), "--set", "facts.night=true")
+    assert "`what if` options are only for `export launch`" in refused.err
+
+
+MODES = """
+transformations:
+  - {label: a, outputs: {o: A}, run: {state: spiral}}
+  - {label: b, outputs: {o: B}, run: {state: spiral}}
+targets: [{label: a, topic: /a, tag: A}, {label: b, topic: /b, tag: B}]
+"""
+
+
+def test_modes_that_would_share_a_state_are_named(run: Run, write: Callable[[str], Path]) -> None:
+    env = write(MODES)
+    assert "a, b share state spiral, and the targets need two units with it at once" in run("check", env).err
+    assert "units a.1, b.1 save state spiral at once" in run("solve", env).err
+    assert "spiral" not in run("check", env, "--without", "b").err

@@ -11,13 +11,13 @@ from typing import Any
 
 import pytest
 from cfgplan_runtime.lifecycle.basis import plan_text
-from cfgplan_runtime.lifecycle.changes import Add, ApplyPlan, LoseHost, RegainHost, SetFact
+from cfgplan_runtime.lifecycle.changes import Add, ApplyPlan, LoseHost, RegainHost, ReviewNow, SetFact
 from cfgplan_runtime.lifecycle.perturbations import FactsChanged
 from cfgplan_runtime.lifecycle.reports import Decision, FactSilent, Review
 from simulated_life import Life, source, started, worker
 
 from cfgplan import api
-from cfgplan.domain import Environment, Host, Target, Transformation, observing
+from cfgplan.domain import Environment, Host, RunOptions, Target, Transformation, observing
 from cfgplan.errors import InputError
 from cfgplan.facts import Fact, FactValue
 from cfgplan.formats.plan_file import read_run_plan
@@ -44,6 +44,28 @@ def test_what_may_not_run_is_replaced_and_comes_back_as_soon_as_it_may() -> None
     back = run.reviewed(SetFact("visibility", "3.25"))
     assert (run.units, back.decision) == ({"count.1", "work.1"}, Decision.APPLIED)
     assert run.perturbations(FactsChanged) == [FactsChanged(("work",)), FactsChanged((), ("work",))]
+
+
+def test_a_target_that_a_fact_keeps_from_being_met_says_so_and_the_present_value() -> None:
+    facts = (Fact("visibility", 4_000_000, "m"),)
+    target = Target("result", worker().outputs[0].tag, "/result")
+    environment = Environment(library=(source(), worker(requires=CLEAR)), targets=(target,), facts=facts)
+    run = started(world=api.world(environment, horizon_s=60))
+    for value in ("1.5", "1"):
+        run.ask(SetFact("visibility", value))
+        run.reviewed(ReviewNow())
+        (seen,) = run.manager.snapshot().targets
+        assert seen.reason.endswith(
+            f"but needs transformations that are left out for now: work (visibility is {value} m)"
+        )
+
+
+def test_a_run_warns_of_two_units_that_save_one_state() -> None:
+    modes = (worker(label, gives=label, run=RunOptions(state="mode")) for label in ("one", "two"))
+    library = (source(), *modes)
+    targets = tuple(Target(each.label, each.outputs[0].tag, f"/{each.label}") for each in library[1:])
+    run = started(world=api.world(Environment(library=library, targets=targets), horizon_s=60))
+    assert any("units one.1, two.1 save state mode at once" in text for text in run.reviews[-1].warnings)
 
 
 @pytest.mark.parametrize(("name", "value"), [("visibility", "7"), ("night", "true")])
@@ -336,8 +358,8 @@ def test_a_unit_leaves_a_host_whose_fact_forbids_it_and_comes_back() -> None:
     assert placed(run)["work"] == "a"
     assert run.perturbations(FactsChanged) == [
         FactsChanged(("work on a",)),
-        FactsChanged(("work",), ("work on a",)),
-        FactsChanged(("work on b",), ("work",)),
+        FactsChanged(("work",)),
+        FactsChanged((), ("work",)),
     ]
 
 

@@ -242,10 +242,11 @@ def environment_to_plan(
     """
     world, situation = plan_input.world.environment, plan_input.situation
     library = tuple(_where_it_may(plan_input, costs[label]) for label in world.transformation if label not in avoided)
+    omitted = tuple((costs[label], why) for label, why in avoided.items())
     hosts = tuple(host for host in world.hosts if not situation.is_lost(host.name))
     targets = tuple(target for target in world.targets if not situation.is_lost(target.host))
     units = tuple(_as_planned(unit, world, hosts, situation) for unit in plan_input.running.units)
-    return replace(world, units=units, library=library, targets=targets, hosts=hosts)
+    return replace(world, units=units, library=library, targets=targets, hosts=hosts, omitted=omitted)
 
 
 def _where_it_may(plan_input: PlanInput, transformation: Transformation) -> Transformation:

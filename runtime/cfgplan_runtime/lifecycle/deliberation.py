@@ -20,7 +20,8 @@ from cfgplan.explaining.what_if import only_targets
 from cfgplan.onward import reached
 from cfgplan.planners.undecided import Deciding
 from cfgplan.planning import Failures, Feature, Measured, Pair, Plan, Planner, Problem, Progress, Status, fresh_unit_ids
-from cfgplan.reasons import unmet_reasons
+from cfgplan.reasons import LEFT_OUT, unmet_reasons
+from cfgplan.shared_states import double_owners
 from cfgplan.summary import some
 from cfgplan.validity import Rule
 from cfgplan.validity.facts import meeting_targets, needed_by
@@ -98,13 +99,16 @@ class UnmetTargets:
     unmet_reasons: Mapping[str, str]
 
     def holds_for(self, problem: Problem) -> bool:
-        """Whether another problem has the same library, matching and targets (and costs: they change rarely)."""
+        """Whether another problem has the same library, omitted transformations, matching and targets (and costs: they
+        change rarely).
+        """
         known, environment = self.problem.environment, problem.environment
         return (
             problem.similarity is self.problem.similarity
             and environment.targets == known.targets
             and len(environment.library) == len(known.library)
             and all(map(is_, environment.library, known.library))
+            and environment.omitted == known.omitted
         )
 
 
@@ -153,7 +157,7 @@ class Deliberation:
             for target in plan_input.world.environment.targets
             if plan_input.situation.is_lost(target.host)
         }
-        return replace(findings, unmet={**out_of_reach, **self._reasons(findings, plan_input.world)}, warnings=warnings)
+        return replace(findings, unmet={**out_of_reach, **findings.unmet}, warnings=warnings)
 
     def judged(self, plan_input: PlanInput, change_set: ChangeSet) -> Findings:
         """The findings about a given change set over units; without a change set if it is not valid."""
@@ -347,22 +351,6 @@ class Deliberation:
             hurried=tuple(sorted({unit.transformation for unit in hoped.change_set.started} & avoided)),
         )
 
-    def _reasons(self, findings: Findings, world: World) -> Mapping[str, str]:
-        """The reasons why targets are given up. If a target fails only for transformations left out for now, its reason
-        says so.
-        """
-        if not (findings.unmet and findings.avoided):
-            return findings.unmet
-        impossible, impossible_now = (
-            unmet_reasons(self.problem(environment, world)) for environment in (world.environment, findings.planned)
-        )
-        avoided = (f"{label} ({why})" for label, why in sorted(findings.avoided.items()))
-        left_out = f"left out for now: {some(avoided, _MOST_AVOIDED_NAMED)}"
-        return {
-            label: left_out if label in impossible_now.keys() - impossible.keys() else reason
-            for label, reason in findings.unmet.items()
-        }
-
 
 def _asking_less(problem: Problem) -> Iterator[tuple[Problem, str]]:
     """The problem without demands that may be impossible with the remaining hosts, and these demands in words."""
@@ -502,9 +490,9 @@ def _exchanged(before: Environment, plan: Plan, new: ComputationUnit, spare: Com
 
 def _judged(findings: Findings, found: BestEffort, *, optimises: bool) -> Findings:
     plan, planned = found.plan, findings.planned
-    # The planner gives reasons without knowing what is left out, which may be all that is missing.
-    left_out = f" (left out for now: {', '.join(sorted(findings.avoided))})" if findings.avoided else ""
-    given_up = {label: f"{reason}{left_out}" for label, reason in found.given_up.items()}
+    # A bound that is not met, or a cost, may be so only for transformations that are left out.
+    left_out = f" (left out for now: {some(sorted(findings.avoided), _MOST_AVOIDED_NAMED)})" if findings.avoided else ""
+    given_up = {label: why if LEFT_OUT in why else f"{why}{left_out}" for label, why in found.given_up.items()}
     asked = found.problem
     violations = validity.violations(planned, asked.similarity, asked.survive, asked.horizon_s)
     unmet_now = {violation.target for violation in violations if violation.rule is Rule.MET}
@@ -527,6 +515,7 @@ def _judged(findings: Findings, found: BestEffort, *, optimises: bool) -> Findin
         return replace(findings, cause=cause)
     findings = replace(
         findings,
+        warnings=(*findings.warnings, *double_owners(found.problem.after(plan))),
         change_set=plan.change_set,
         cost_us=plan.cost_us,
         bound_us=plan.bound_us,

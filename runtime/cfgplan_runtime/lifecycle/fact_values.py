@@ -77,20 +77,25 @@ def _with_facts(
     if not any(_is_other(declared, fact, state.situation.facts, values) for fact in declared.variable.values()):
         return transition.also(*(Respond(outcome) for outcome in outcomes))
     before, after = state.plan_input.world.environment, transition.state.plan_input.world.environment
-    was, now = _forbidden(before), _forbidden(after)
+    lost, back = _barred_anew(before, after), _barred_anew(after, before)
     library = before.transformation
     requalified = [label for label in after.following if after.transformation[label] != library[label]]
-    if was == now and not requalified:
+    if not (lost or back or requalified):
         return transition.also(*(Respond(outcome) for outcome in outcomes))
     transition = transition.to(replace(transition.state, seen=_unheard(transition.state, requalified)))
-    changed = FactsChanged(tuple(sorted(now - was)), tuple(sorted(was - now)), tuple(sorted(requalified)))
+    changed = FactsChanged(tuple(sorted(lost)), tuple(sorted(back)), tuple(sorted(requalified)))
     return transition.perturbed(changed, outcomes)
 
 
-def _forbidden(world: Environment) -> set[str]:
-    """The transformations that may not run, and those that may not run on a host, as `mapper on r1`."""
-    barred = (f"{label} on {host}" for label, hosts in world.barred.items() for host in hosts)
-    return {*world.left_out, *barred}
+def _barred_anew(before: Environment, after: Environment) -> set[str]:
+    """The transformations that may run before and not after, and those for which this holds on a host, as
+    `mapper on r1`.
+    """
+    found = after.left_out.keys() - before.left_out.keys()
+    for label, hosts in after.barred.items():
+        if label not in before.left_out:
+            found |= {f"{label} on {host}" for host in hosts.keys() - before.barred.get(label, {}).keys()}
+    return found
 
 
 def _unheard(state: State, requalified: Collection[str]) -> SeenQualities:
