@@ -551,7 +551,7 @@ def test_windows_is_refused_with_a_reason(monkeypatch: pytest.MonkeyPatch) -> No
 
 @pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="needs /proc")
 def test_no_process_of_a_run_uses_shared_memory_that_a_kill_could_leave_behind(run_units: StartRuntime) -> None:
-    runtime = run_units(source(code="images"), worker())
+    runtime = run_units(source(code="image_units.py:images"), worker())
     runtime.apply(start(unit("count.1"), unit("work.1", topic="/result", x="count.1/n")))
     nursery = psutil.Process(runtime.pid("work.1")).parent()
     assert nursery is not None
