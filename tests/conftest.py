@@ -2,7 +2,7 @@
 
 A push draws a sixth of each property's examples, and a sixth of the values of each test's parameter `seed`, with a seed
 made of the commit: the next commit draws others, and the same commit draws the same ones again. `CFGPLAN_SHARE=1` draws
-all of them, as `.ci/nightly` does, and `CFGPLAN_SEED=N` repeats those of a seed.
+all of them, as `.ci/nightly` does, and `CFGPLAN_SEED=N` repeats those of a seed. Soaks are run where all are drawn.
 
 Modules are compiled once: where PYTHONDONTWRITEBYTECODE is set, each process of each test would compile the product.
 
@@ -118,6 +118,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     Tests that one worker runs together, as those of ROS 2, come first: the others do the rest beside them.
     """
     left_out = {item.nodeid for item in seeds_left_out(items, int(config.option.hypothesis_seed))}
+    left_out |= {item.nodeid for item in soaks_left_out(items)}
     if left_out:
         config.hook.pytest_deselected(items=[item for item in items if item.nodeid in left_out])
         items[:] = [item for item in items if item.nodeid not in left_out]
@@ -153,6 +154,11 @@ def seeds_left_out(items: list[pytest.Item], seed: int, share: int = SHARE) -> l
         taken = Random(f"{seed} {test}").sample(seeds, -(-len(seeds) // share))
         found += [item for value, item in seeded if value not in taken]
     return found
+
+
+def soaks_left_out(items: list[pytest.Item], share: int = SHARE) -> list[pytest.Item]:
+    """The tests that only the night runs: soaks, which meet again what other tests show one by one."""
+    return [item for item in items if share > 1 and item.get_closest_marker("soak")]
 
 
 def _share_of(whole: settings) -> settings:
