@@ -33,6 +33,7 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 from warm import module_command, warm_socket
+from warm_python import warm_subprocess
 from xdist.remote import Producer
 from xdist.scheduler import LoadGroupScheduling
 from xdist.workermanage import WorkerController
@@ -181,6 +182,26 @@ def warm_runs() -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(runs, "CHILD", tuple(module_command("planned_once")))
+        yield
+
+
+@pytest.fixture(scope="module")
+def warm_nurseries() -> Iterator[None]:
+    """Nurseries of this process are forks of a process that has imported what they need."""
+    from cfgplan_runtime.processes import nursery_link
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(nursery_link, "subprocess", warm_subprocess("cfgplan_runtime.processes.nursery"))
+        yield
+
+
+@pytest.fixture(scope="module")
+def warm_agents() -> Iterator[None]:
+    """Agents of `LocalAgents`, and their nurseries, are forks of processes that have imported what they need."""
+    from cfgplan_runtime.fleet import local
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(local, "subprocess", warm_subprocess("cfgplan_runtime.fleet.agent", "zenoh"))
         yield
 
 

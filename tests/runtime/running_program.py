@@ -103,7 +103,7 @@ def answer(deed: str, request: dict[str, Any]) -> None:
     elif deed == "nothing":
         say({"step": step, "outputs": {PORT: None}})
     elif deed == "burn":
-        until = time.process_time() + 0.05
+        until = time.process_time() + 0.1
         while time.process_time() < until:
             pass
         say({"step": step})

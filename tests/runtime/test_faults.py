@@ -30,6 +30,7 @@ from cfgplan_runtime import (
     subscribe,
 )
 from cfgplan_runtime.errors import NoSuchTopicError, RuntimeFaultError, UnsupportedPlatformError
+from cfgplan_runtime.processes import nursery_link
 from cfgplan_runtime.processes.nursery_link import start_helper
 from cfgplan_runtime.runtime import Inline, OwnThread
 from cfgplan_runtime.streams.run_folder import base_folder, remove_dead_runs, topics_of
@@ -620,7 +621,8 @@ def test_a_signal_that_does_not_wake_the_main_thread_interrupts_its_wait_for_a_r
     assert went_on == [True], "the wait ended before the runtime was made"
 
 
-def test_ctrl_c_reaches_no_process_that_makes_the_units_from_its_first_moment() -> None:
+def test_ctrl_c_reaches_no_process_that_makes_the_units_from_its_first_moment(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(nursery_link, "subprocess", subprocess)  # not a warm one
     process, ours = start_helper("import sys; sys.stdin.read()")
     with ours, process:
         assert os.getpgid(process.pid) == process.pid != os.getpgrp()

@@ -300,7 +300,7 @@ def test_a_program_that_does_not_end_at_its_stop_gets_sigterm_after_half_of_its_
 
 
 def test_the_cpu_time_and_memory_of_a_program_are_its_units(run_units: StartRuntime, form: ProgramFormat) -> None:
-    runtime = run_units(source(), program(form, "burn"))
+    runtime = run_units(source(rate_hz=4), program(form, "burn"))
     runtime.apply(start(unit("count.1"), unit("work.1", x="count.1/n")))
     hosted = process_of(runtime.pid("work.1"))
     eventually(lambda: hosted.cpu_times().user > 0.25)
