@@ -24,7 +24,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from setproctitle import getproctitle
+from setproctitle import getproctitle, setproctitle
 
 _LONGEST_BYTES = 1 << 18
 _HIGH_NUMBER = 200
@@ -165,6 +165,7 @@ def _become(order: dict[str, Any]) -> None:
     path = [part for part in os.environ.get("PYTHONPATH", "").split(os.pathsep) if part]
     sys.path[:] = ["", *path, *(part for part in sys.path[1:] if part not in path)]
     sys.argv = ["-c", *order["arguments"]]
+    setproctitle(" ".join([sys.executable, "-c", order["code"], *order["arguments"]]))
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
