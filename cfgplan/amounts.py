@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import time
 
+MICROSECONDS = 1_000_000
+"""In a second."""
 _MINUTE_S, _HOUR_S, _DAY_S = 60, 3600, 86400
 
 

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from decimal import Decimal
 from types import MappingProxyType
 
+from cfgplan.amounts import MICROSECONDS
 from cfgplan.domain import CPU, Host, OutputPort, Transformation
 from cfgplan.errors import InvalidValueError
 from cfgplan.qualities import MICRO
 
-MICROSECONDS = 1_000_000
 LARGEST_COST_US = 2**53 - 1
 """Above this a sum of costs is no longer exact in every engine: about 285 years of CPU time."""
 

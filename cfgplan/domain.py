@@ -32,13 +32,13 @@ from cfgplan.qualities import (
     Told,
     units,
 )
+from cfgplan.rows import ALL as ALL
 from cfgplan.rows import ELEMENT, FOUND, Feature, Row, Use
 from cfgplan.similarity import Similarity as Similarity
 from cfgplan.summary import Summary, counted, cpu, summarised, summary, tabled
 from cfgplan.targets import A_UNIT_OF as A_UNIT_OF
 from cfgplan.targets import Target as Target
 from cfgplan.targets import observing as observing
-from cfgplan.transformations import ALL as ALL
 from cfgplan.transformations import CPU as CPU
 from cfgplan.transformations import MEMORY as MEMORY
 from cfgplan.transformations import POWER as POWER

@@ -17,6 +17,8 @@ ELEMENT, UNSAID = "<>", ""
 """How the XML format has a key that is no attribute: as an element, or not at all."""
 LARGEST_AMOUNT = 1_000_000_000
 MOST_IN_A_QUEUE = 1_000_000
+ALL = 0
+"""The `count` of an input that takes every matching stream."""
 
 
 class Use(Flag):

@@ -15,12 +15,8 @@ from cfgplan.canonical import fields_of, refuse_duplicates, store_resources, sto
 from cfgplan.errors import InvalidValueError
 from cfgplan.facts import check_requirement
 from cfgplan.qualities import Contribution, units
-from cfgplan.rows import ELEMENT, MOST_IN_A_QUEUE, QOS, UNSAID, Feature, Row, Use, features, running
+from cfgplan.rows import ALL, ELEMENT, MOST_IN_A_QUEUE, QOS, UNSAID, Feature, Row, Use, features, running
 from cfgplan.selectors import check_selector
-
-ALL = 0
-"""The `count` of an input that takes every matching stream."""
-
 
 ProgramFormat: TypeAlias = Literal["json", "msgpack"]
 """How a program that is a unit reads and writes messages."""

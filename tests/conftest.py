@@ -2,7 +2,7 @@
 
 A push draws a sixth of each property's examples, and a sixth of the values of each test's parameter `seed`, with a seed
 made of the commit: the next commit draws others, and the same commit draws the same ones again. `CFGPLAN_SHARE=1` draws
-all of them, as `.ci/nightly` does, and `CFGPLAN_SEED=N` repeats those of a seed.
+all of them, as `.ci/nightly` does, and `CFGPLAN_SEED=N` repeats those of a seed. Soaks are run where all are drawn.
 
 Modules are compiled once: where PYTHONDONTWRITEBYTECODE is set, each process of each test would compile the product.
 
@@ -33,6 +33,7 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 from warm import module_command, warm_socket
+from warm_python import warm_subprocess
 from xdist.remote import Producer
 from xdist.scheduler import LoadGroupScheduling
 from xdist.workermanage import WorkerController
@@ -118,6 +119,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     Tests that one worker runs together, as those of ROS 2, come first: the others do the rest beside them.
     """
     left_out = {item.nodeid for item in seeds_left_out(items, int(config.option.hypothesis_seed))}
+    left_out |= {item.nodeid for item in soaks_left_out(items)}
     if left_out:
         config.hook.pytest_deselected(items=[item for item in items if item.nodeid in left_out])
         items[:] = [item for item in items if item.nodeid not in left_out]
@@ -155,6 +157,11 @@ def seeds_left_out(items: list[pytest.Item], seed: int, share: int = SHARE) -> l
     return found
 
 
+def soaks_left_out(items: list[pytest.Item], share: int = SHARE) -> list[pytest.Item]:
+    """The tests that only the night runs: soaks, which meet again what other tests show one by one."""
+    return [item for item in items if share > 1 and item.get_closest_marker("soak")]
+
+
 def _share_of(whole: settings) -> settings:
     number = max(min(FEWEST_EXAMPLES, whole.max_examples), whole.max_examples // SHARE)
     # A busy computer draws slowly, which says nothing about a strategy.
@@ -175,6 +182,26 @@ def warm_runs() -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(runs, "CHILD", tuple(module_command("planned_once")))
+        yield
+
+
+@pytest.fixture(scope="module")
+def warm_nurseries() -> Iterator[None]:
+    """Nurseries of this process are forks of a process that has imported what they need."""
+    from cfgplan_runtime.processes import nursery_link
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(nursery_link, "subprocess", warm_subprocess("cfgplan_runtime.processes.nursery"))
+        yield
+
+
+@pytest.fixture(scope="module")
+def warm_agents() -> Iterator[None]:
+    """Agents of `LocalAgents`, and their nurseries, are forks of processes that have imported what they need."""
+    from cfgplan_runtime.fleet import local
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(local, "subprocess", warm_subprocess("cfgplan_runtime.fleet.agent", "zenoh"))
         yield
 
 

@@ -65,6 +65,12 @@ def test_each_listed_reason_is_one_that_a_test_or_a_peer_gives(conftest: ModuleT
         assert any(all(re.search(word, source) for word in words) for source in sources), allowed
 
 
+def test_only_the_night_runs_soaks(conftest: ModuleType) -> None:
+    soak, usual = (SimpleNamespace(get_closest_marker={name: True}.get) for name in ("soak", "usefixtures"))
+    assert conftest.soaks_left_out([soak, usual], share=6) == [soak]
+    assert conftest.soaks_left_out([soak, usual], share=1) == []
+
+
 class Seeded:
     """A test of one seed, as far as the choice of tests looks at it."""
 
@@ -120,7 +126,8 @@ def test_the_other_tests_of_a_worker_that_dies_or_hears_nothing_run_once(tmp_pat
     (tmp_path / "test_deaths.py").write_text(SUITE_WITH_DEATHS, encoding="utf-8")
     (tmp_path / "conftest.py").write_text("from suite import pytest_xdist_make_scheduler\n", encoding="utf-8")
     (tmp_path / "suite.py").symlink_to(TESTS / "conftest.py")
-    (tmp_path / "warm.py").symlink_to(TESTS / "warm.py")
+    for name in ("warm.py", "warm_python.py"):
+        (tmp_path / name).symlink_to(TESTS / name)
     limits = ["-o", "faulthandler_timeout=5", "-o", "faulthandler_exit_on_timeout=true"]
     options = ["-n", "2", "--dist", "loadgroup", "-p", "no:cacheprovider", *limits]
     run = subprocess.run(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import socket
@@ -13,6 +14,7 @@ from pathlib import Path
 import pytest
 import warm
 import warm_cfgplan
+from warm_python import warm_subprocess
 
 MODELS = Path(__file__).parents[1] / "models"
 LOST = MODELS / "nao" / "2-segmenter-lost.yaml"
@@ -99,3 +101,38 @@ def test_a_caller_ends_after_the_process_that_answers_it(tmp_path: Path) -> None
             assert answering.stdin is not None
             answering.stdin.close()
             assert caller.wait(PATIENCE_S) == 0
+
+
+def test_a_warm_python_is_a_child_of_its_caller_with_its_environment_folder_and_descriptors(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As one is that `subprocess` starts; its code has its arguments, and its parent knows how it has ended."""
+    code = (
+        "import json, os, sys; told = os.fdopen(int(sys.argv[1]), 'w');"
+        "json.dump([sys.argv, os.getppid(), os.getpgrp() == os.getpid(), os.environ['SAID'], os.getcwd()], told);"
+        "told.close(); sys.exit(5)"
+    )
+    monkeypatch.setenv("SAID", "so")
+    monkeypatch.chdir(tmp_path)
+    said = []
+    for started_with in (subprocess, warm_subprocess("json")):
+        ours, theirs = os.pipe()
+        child = started_with.Popen(
+            [sys.executable, "-c", code, str(theirs)], pass_fds=[theirs], stdin=subprocess.DEVNULL, process_group=0
+        )
+        os.close(theirs)
+        with os.fdopen(ours) as told:
+            said.append(json.loads(told.read()))
+        assert child.wait(PATIENCE_S) == 5
+        assert said[-1][0].pop() == str(theirs)
+    assert said == [[["-c"], os.getpid(), True, "so", str(tmp_path)]] * 2
+
+
+def test_a_warm_python_that_is_killed_is_known_to_be() -> None:
+    line = [sys.executable, "-c", "import time; time.sleep(600)"]
+    child = warm_subprocess("json").Popen(line, start_new_session=True)
+    with pytest.raises(subprocess.TimeoutExpired):
+        child.wait(0.1)
+    assert os.getsid(child.pid) == child.pid
+    child.kill()
+    assert child.wait(PATIENCE_S) == -signal.SIGKILL

@@ -10,16 +10,17 @@ from enum import Enum
 from functools import lru_cache
 from typing import Annotated, Any, Literal, TypeVar
 
+from cfgplan.amounts import MICROSECONDS
 from cfgplan.canonical import normal
-from cfgplan.costs import LARGEST_COST_US, LONGEST_HORIZON_S, MICROSECONDS, SPAN, microseconds, seconds, span_s
+from cfgplan.costs import LARGEST_COST_US, LONGEST_HORIZON_S, SPAN, microseconds, seconds, span_s
 from cfgplan.domain import Objective
 from cfgplan.errors import InvalidValueError
 from cfgplan.facts import LARGEST_FACT, FactValue
 from cfgplan.formats.forms import After, Before, Described, Instead, Limits, MoreSchema, RefusedError, Schema
 from cfgplan.noise import Noise
 from cfgplan.qualities import LARGEST_QUALITY, MICRO, Better, QualityRule, micro_units, units
-from cfgplan.rows import LARGEST_AMOUNT
-from cfgplan.transformations import ALL, CPU, LEAST_HANG_S, STATE_NAME, RunOptions
+from cfgplan.rows import ALL, LARGEST_AMOUNT
+from cfgplan.transformations import CPU, LEAST_HANG_S, STATE_NAME, RunOptions
 
 SPEEDS = (Decimal("0.001"), 1000)
 """The least and the largest speed of a host."""

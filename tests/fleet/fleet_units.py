@@ -110,9 +110,9 @@ class FailsOn:
     """Fails at its start on one host, and notes this in a file. On other hosts, it returns its input."""
 
     def __init__(self, host: str, note: str) -> None:
-        lines = [one.cmdline() for one in psutil.Process().parents()]
-        agent = next(line for line in lines if "cfgplan_runtime.fleet.local" in " ".join(line))
-        if host in agent:
+        lines = [" ".join(one.cmdline()) for one in psutil.Process().parents()]
+        agent = next(line for line in lines if "cfgplan_runtime.fleet.local" in line)
+        if host in agent.split():
             with Path(note).open("a") as file:
                 file.write("failed\n")
             raise ValueError("no camera")

@@ -12,6 +12,7 @@ import pytest
 SOAK = Path(network.__file__).with_name("soak.py")
 
 
+@pytest.mark.soak
 def test_whatever_happens_to_a_fleet_no_element_is_lost_uncounted_and_no_unit_is_left(tmp_path: Path) -> None:
     line = [sys.executable, str(SOAK), "--minutes", "0", "--seed", "3"]
     done = subprocess.run(line, capture_output=True, text=True, check=False, cwd=tmp_path)

@@ -6,7 +6,6 @@ import os
 import pty
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,10 +15,12 @@ from cfgplan_runtime.fleet.reached import ReachedFleet
 from cfgplan_runtime.operating.control_client import connect
 from cfgplan_runtime.streams.run_folder import base_folder, remove_dead_runs
 from small_fleet import FOLDER, PATIENCE_S, SmallFleet, eventually, small_fleet
+from warm import cold_command, command
 
 import cfgplan
 
-CFGPLAN = (sys.executable, "-c", "import sys; from cfgplan.cli import main; sys.exit(main())")
+pytestmark = pytest.mark.usefixtures("warm_cfgplan")
+
 ENVIRONMENT = """\
 format: cfgplan/1
 horizon: 60
@@ -38,8 +39,9 @@ def environment(folder: Path, label: str = "count", upkeep: float = 0.1) -> Path
     return env
 
 
-def command(fleet: SmallFleet, env: Path, *more: str) -> list[str]:
-    return [*CFGPLAN, "run", str(env), f"--connect={fleet.endpoints[0]}", "--no-estimates", "--plain", *more]
+def run_of(fleet: SmallFleet, env: Path, *more: str) -> list[str]:
+    """The arguments of a run on the fleet."""
+    return ["run", str(env), f"--connect={fleet.endpoints[0]}", "--no-estimates", "--plain", *more]
 
 
 @pytest.fixture
@@ -47,7 +49,7 @@ def left(tmp_path: Path) -> Iterator[tuple[SmallFleet, Path]]:
     """A fleet on whose host a killed run has left count.1."""
     env = environment(tmp_path)
     with small_fleet("r1") as fleet:
-        with subprocess.Popen(command(fleet, env), stdout=subprocess.PIPE, text=True) as run:
+        with subprocess.Popen(cold_command(*run_of(fleet, env)), stdout=subprocess.PIPE, text=True) as run:
             assert run.stdout is not None
             eventually(lambda: "count.1" in fleet.units())
             with connect() as control:
@@ -71,7 +73,7 @@ def test_a_run_is_found_by_its_name_from_another_computer(tmp_path: Path) -> Non
     env = environment(tmp_path)
     with (
         small_fleet("r1") as fleet,
-        subprocess.Popen(command(fleet, env, "--name", "crew"), stdout=subprocess.PIPE) as run,
+        subprocess.Popen(command(*run_of(fleet, env, "--name", "crew")), stdout=subprocess.PIPE) as run,
     ):
         eventually(lambda: "count.1" in fleet.units())
         with ReachedFleet(fleet.endpoints) as reached, connect("crew", reached) as control:
@@ -83,7 +85,7 @@ def test_a_run_is_found_by_its_name_from_another_computer(tmp_path: Path) -> Non
 def test_units_that_the_plan_keeps_are_not_asked_about(left: tuple[SmallFleet, Path]) -> None:
     fleet, env = left
     done = subprocess.run(
-        command(fleet, env, "--for", "1s"), capture_output=True, text=True, timeout=PATIENCE_S, check=True
+        command(*run_of(fleet, env, "--for", "1s")), capture_output=True, text=True, timeout=PATIENCE_S, check=True
     )
     assert "  = keep    count.1" in done.stdout
     assert "to stop, 1 kept as they are" in done.stdout
@@ -92,11 +94,11 @@ def test_units_that_the_plan_keeps_are_not_asked_about(left: tuple[SmallFleet, P
 def test_without_a_terminal_a_run_stops_no_unit_that_is_left_unless_told(left: tuple[SmallFleet, Path]) -> None:
     fleet, env = left
     environment(env.parent, "other")
-    refused = subprocess.run(command(fleet, env), capture_output=True, text=True, timeout=PATIENCE_S)
+    refused = subprocess.run(command(*run_of(fleet, env)), capture_output=True, text=True, timeout=PATIENCE_S)
     assert refused.returncode == 30
     assert "this run would stop 1 unit of an earlier run: count.1" in refused.stderr and "--yes" in refused.stderr
     assert fleet.units() == ["count.1"]
-    told = command(fleet, env, "--yes", "--for", "1s")
+    told = command(*run_of(fleet, env, "--yes", "--for", "1s"))
     done = subprocess.run(told, capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 0, done.stderr
     assert "+ start   other.1" in done.stdout
@@ -110,7 +112,7 @@ def test_at_a_terminal_a_run_asks(left: tuple[SmallFleet, Path], answer: str, co
     own, other = pty.openpty()
     try:
         with subprocess.Popen(
-            command(fleet, env, "--for", "1s"), stdin=other, stdout=subprocess.PIPE, stderr=other
+            command(*run_of(fleet, env, "--for", "1s")), stdin=other, stdout=subprocess.PIPE, stderr=other
         ) as run:
             os.close(other)
             said = b""
@@ -129,7 +131,7 @@ def test_an_interrupt_at_the_question_leaves_all_as_it_is(left: tuple[SmallFleet
     environment(env.parent, "other")
     own, other = pty.openpty()
     try:
-        with subprocess.Popen(command(fleet, env), stdin=other, stdout=subprocess.PIPE, stderr=other) as run:
+        with subprocess.Popen(command(*run_of(fleet, env)), stdin=other, stdout=subprocess.PIPE, stderr=other) as run:
             os.close(other)
             said = b""
             while b"[y/N]" not in said:

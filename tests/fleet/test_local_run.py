@@ -24,6 +24,7 @@ from cfgplan_runtime.operating.control_client import Control, connect
 from cfgplan_runtime.operating.protocol import RefusedError
 from cfgplan_runtime.processes.cpu_group import CpuGroup
 from small_fleet import FOLDER, PATIENCE_S, eventually, small_fleet, source, unit
+from warm import command
 
 from cfgplan.domain import ChangeSet, Environment, Host
 
@@ -216,26 +217,27 @@ def test_a_run_that_is_interrupted_while_it_waits_for_hosts_ends_as_that(tmp_pat
     assert (process.returncode, said.strip().splitlines()[-1]) == (130, "interrupted")
 
 
+@pytest.mark.usefixtures("warm_cfgplan")
 def test_hosts_of_a_run_that_no_option_reaches_are_refused_with_the_mend() -> None:
-    command = [*CFGPLAN, "run", str(START)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = subprocess.run(command("run", START), capture_output=True, text=True, check=False)
     assert done.returncode == 30
     assert "--local" in done.stderr
 
 
+@pytest.mark.usefixtures("warm_cfgplan")
 @pytest.mark.parametrize("option", [["--take-over"], ["--certificates", "secrets"]])
 def test_an_option_for_a_fleet_that_is_not_named_is_told(option: list[str]) -> None:
-    done = subprocess.run([*CFGPLAN, "run", str(START), *option], capture_output=True, text=True, check=False)
+    done = subprocess.run(command("run", START, *option), capture_output=True, text=True, check=False)
     assert done.returncode == 30
     assert "name one of its agents by --connect" in done.stderr
 
 
+@pytest.mark.usefixtures("warm_cfgplan")
 @pytest.mark.parametrize("arguments", [["--connect", "tcp/127.0.0.1:1"], ["--local"]])
 def test_a_file_without_hosts_runs_on_no_fleet(tmp_path: Path, arguments: list[str]) -> None:
     path = tmp_path / "env.yaml"
     path.write_text("format: cfgplan/1\ntransformations: [{label: a, source: units.py:a, outputs: {n: N}}]\n")
-    command = [*CFGPLAN, "run", str(path), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = subprocess.run(command("run", path, *arguments), capture_output=True, text=True, check=False)
     assert done.returncode == 30
     assert "no hosts" in done.stderr
 

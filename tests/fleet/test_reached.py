@@ -25,13 +25,16 @@ from cfgplan_runtime.streams.run_folder import RunFolder, base_folder
 from cfgplan_runtime.streams.subscription import RunPlace, SubscriptionToTopic
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 from small_fleet import PATIENCE_S, Listener, SmallFleet, eventually, moved, small_fleet, source, swap, unit, worker
-from test_local_run import CFGPLAN, START, local_run
+from test_local_run import START, local_run
+from warm import command
 
 from cfgplan.domain import ChangeSet
 from cfgplan.errors import InputError
 
 COUNT = unit("count.1", "r1")
 WORK = unit("work.1", "r1", topic="/result", x="count.1/n")
+
+pytestmark = pytest.mark.usefixtures("warm_cfgplan")
 
 
 @pytest.fixture
@@ -82,8 +85,12 @@ def test_who_listens_sees_ages_by_the_clock_of_the_run(
             assert abs(time_ns() - behind_ns - received.time_ns) < PATIENCE_S * 1e9
             assert 0 < subscription.now_ns() - received.time_ns < PATIENCE_S * 1e9
         where = [f"--connect={fleet.endpoints[0]}", f"--wait={PATIENCE_S}"]
-        command = [*CFGPLAN, "listen", "/result", "--json", "--count=1", *where]
-        heard = subprocess.run(command, capture_output=True, text=True, timeout=2 * PATIENCE_S)
+        heard = subprocess.run(
+            command("listen", "/result", "--json", "--count=1", *where),
+            capture_output=True,
+            text=True,
+            timeout=2 * PATIENCE_S,
+        )
         assert heard.returncode == 0, heard.stdout + heard.stderr
         assert 0 < json.loads(heard.stdout)["latency_ms"] < PATIENCE_S * 1e3
 
@@ -154,8 +161,9 @@ def test_a_run_is_steered_listened_to_and_asked_from_a_computer_that_has_none_of
         links = ["--connect", f"unixsock-stream/{folder.parent}/a0"]
 
         def done(*arguments: str) -> subprocess.CompletedProcess[str]:
-            command = [*CFGPLAN, *arguments, *links]
-            return subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE_S)
+            return subprocess.run(
+                command(*arguments, *links), capture_output=True, text=True, check=False, timeout=PATIENCE_S
+            )
 
         state = json.loads(done("ctl", "--json", "state").stdout)
         assert state["run"] == run and {one["host"] for one in state["units"]} <= {"base", "r1", "r2"}
@@ -174,7 +182,7 @@ def test_a_fleet_that_can_not_be_reached_is_told_with_the_mend(tmp_path: Path) -
     with pytest.raises(InputError, match="no agent can be reached at unixsock-stream"):
         ReachedFleet([f"unixsock-stream/{tmp_path}/nobody"])
     done = subprocess.run(
-        [*CFGPLAN, "ctl", "state", "--certificates", str(tmp_path)], capture_output=True, text=True, check=False
+        command("ctl", "state", "--certificates", tmp_path), capture_output=True, text=True, check=False
     )
     assert done.returncode == 30 and "name one of its agents by --connect" in done.stderr
 

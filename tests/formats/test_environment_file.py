@@ -11,7 +11,8 @@ import pytest
 import yaml
 from loading import faults_of, load, load_text
 
-from cfgplan.costs import LARGEST_COST_US, MICROSECONDS
+from cfgplan.amounts import MICROSECONDS
+from cfgplan.costs import LARGEST_COST_US
 from cfgplan.domain import (
     ComputationUnit,
     InputPort,

@@ -10,6 +10,11 @@ from living import descendants
 from real_run import RealRun
 
 
+@pytest.fixture(autouse=True)
+def warm(warm_nurseries: None) -> None:
+    """Nurseries are warm."""
+
+
 @pytest.fixture
 def run_for_real(
     tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch

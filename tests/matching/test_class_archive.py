@@ -174,7 +174,8 @@ def test_another_java_jar_or_option_has_another_archive(tmp_path: Path) -> None:
     assert class_archive.archive_for("no-such-java", (), jar, "Main") is None
 
 
-def test_the_archives_that_were_used_last_are_kept(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.usefixtures("cache")
+def test_the_archives_that_were_used_last_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(class_archive, "PAYS_AFTER", 1)
     monkeypatch.setattr(class_archive.ClassArchive, "_run", lambda made, *_: (made.folder / "hermit.jsa.part").touch())
     jars = [Path(__file__), Path(class_archive.__file__), Path(pytest.__file__), Path(os.__file__)]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import random
 import subprocess
 import sys
 import time
@@ -14,9 +13,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy
 from cfgplan_runtime import At
-from numpy.typing import NDArray
 
 
 def count() -> Iterator[int]:
@@ -27,26 +24,10 @@ def count() -> Iterator[int]:
         number += 1
 
 
-def draw() -> Iterator[int]:
-    """Prints a random number of Python and one of numpy."""
-    sys.stdout.write(f"{random.random()} {numpy.random.random()}\n")
+def has_numpy() -> Iterator[int]:
+    """Prints whether this process has imported numpy."""
+    sys.stdout.write(f"{'numpy' in sys.modules}\n")
     yield 0
-
-
-def images() -> Iterator[NDArray[numpy.uint8]]:
-    """Pictures of 460 kB whose first 8 bytes are their number."""
-    number = 0
-    while True:
-        image = numpy.zeros((480, 960), numpy.uint8)
-        image.reshape(-1)[:8] = numpy.frombuffer(number.to_bytes(8, "little"), numpy.uint8)
-        yield image
-        number += 1
-
-
-def shades() -> Iterator[NDArray[numpy.uint8]]:
-    """Pictures of 460 kB whose columns rise from 0 to 255, again and again."""
-    while True:
-        yield numpy.tile(numpy.arange(960).astype(numpy.uint8), (480, 1))
 
 
 VARIOUS: list[Any] = [
@@ -59,10 +40,6 @@ VARIOUS: list[Any] = [
 def various() -> Iterator[Any]:
     while True:
         yield from VARIOUS
-
-
-def image_number(x: NDArray[numpy.uint8]) -> int:
-    return int.from_bytes(x.reshape(-1)[:8].tobytes(), "little")
 
 
 def fails(x: Any) -> Any:

@@ -30,6 +30,7 @@ from cfgplan_runtime import (
     subscribe,
 )
 from cfgplan_runtime.errors import NoSuchTopicError, RuntimeFaultError, UnsupportedPlatformError
+from cfgplan_runtime.processes import nursery_link
 from cfgplan_runtime.processes.nursery_link import start_helper
 from cfgplan_runtime.runtime import Inline, OwnThread
 from cfgplan_runtime.streams.run_folder import base_folder, remove_dead_runs, topics_of
@@ -551,7 +552,7 @@ def test_windows_is_refused_with_a_reason(monkeypatch: pytest.MonkeyPatch) -> No
 
 @pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="needs /proc")
 def test_no_process_of_a_run_uses_shared_memory_that_a_kill_could_leave_behind(run_units: StartRuntime) -> None:
-    runtime = run_units(source(code="images"), worker())
+    runtime = run_units(source(code="image_units.py:images"), worker())
     runtime.apply(start(unit("count.1"), unit("work.1", topic="/result", x="count.1/n")))
     nursery = psutil.Process(runtime.pid("work.1")).parent()
     assert nursery is not None
@@ -620,7 +621,8 @@ def test_a_signal_that_does_not_wake_the_main_thread_interrupts_its_wait_for_a_r
     assert went_on == [True], "the wait ended before the runtime was made"
 
 
-def test_ctrl_c_reaches_no_process_that_makes_the_units_from_its_first_moment() -> None:
+def test_ctrl_c_reaches_no_process_that_makes_the_units_from_its_first_moment(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(nursery_link, "subprocess", subprocess)  # not a warm one
     process, ours = start_helper("import sys; sys.stdin.read()")
     with ours, process:
         assert os.getpgid(process.pid) == process.pid != os.getpgrp()

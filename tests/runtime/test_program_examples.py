@@ -28,7 +28,7 @@ NEEDS_JQ = pytest.mark.skipif(shutil.which("jq") is None, reason="jq is not inst
 
 
 def results(run_units: StartRuntime, number: int, given: str, made: Transformation) -> list[Any]:
-    """The first results of a program whose input x is fed by a source of running_units."""
+    """The first results of a program whose input x is fed by the source of unit code `given`."""
     runtime = run_units(source(code=given), made)
     runtime.apply(start(unit("count.1"), unit("work.1", topic="/result", x="count.1/n")))
     with subscribe(RESULT.topic or "", run=runtime.id, wait_s=60) as subscription:
@@ -49,7 +49,7 @@ def mask(tmp_path: Path) -> str:
 
 @NEEDS_CC
 def test_the_c_program_gives_the_bright_pixels_of_images(run_units: StartRuntime, mask: str) -> None:
-    for image in results(run_units, 5, "shades", example(f"{mask} 128 y", RunOptions(format="msgpack"))):
+    for image in results(run_units, 5, "image_units.py:shades", example(f"{mask} 128 y", RunOptions(format="msgpack"))):
         assert (image.dtype, image.shape) == (numpy.uint8, (480, 960))
         assert (image == numpy.where(numpy.arange(960) % 256 >= 128, 255, 0)).all()
 

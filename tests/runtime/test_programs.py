@@ -105,7 +105,7 @@ def test_wrong_output_is_told_once_with_the_line_and_counted_and_the_unit_goes_o
     runtime = run_units(source(rate_hz=20 if deed == "large" else 200), program(form, deed))
     runtime.apply(start(COUNT, WORK))
     listener = Listener("/result")
-    eventually(lambda: any(o.errors > 3 for o in runtime.observe()))
+    eventually(lambda: any(o.errors > (1 if deed == "large" else 3) for o in runtime.observe()))
     got = len(listener.received)
     eventually(lambda: len(listener.received) > got + 10)
     told = [event for event in seen(runtime, UnitFailed) if event.what == what]
@@ -300,10 +300,10 @@ def test_a_program_that_does_not_end_at_its_stop_gets_sigterm_after_half_of_its_
 
 
 def test_the_cpu_time_and_memory_of_a_program_are_its_units(run_units: StartRuntime, form: ProgramFormat) -> None:
-    runtime = run_units(source(), program(form, "burn"))
+    runtime = run_units(source(rate_hz=4), program(form, "burn"))
     runtime.apply(start(unit("count.1"), unit("work.1", x="count.1/n")))
     hosted = process_of(runtime.pid("work.1"))
-    eventually(lambda: hosted.cpu_times().user > 0.4)
+    eventually(lambda: hosted.cpu_times().user > 0.25)
     (work,) = [each for each in runtime.observe() if each.unit == "work.1"]
-    assert work.cpu_us > 400_000, "that is far more than its own process takes"
+    assert work.cpu_us > 250_000, "that is far more than its own process takes"
     assert work.memory_bytes > hosted.memory_info().rss

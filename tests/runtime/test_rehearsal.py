@@ -47,7 +47,7 @@ def test_no_memory_is_taken_from_an_allocator_that_has_no_pools() -> None:
 
 
 def test_each_unit_has_random_numbers_of_its_own(run_units: StartRuntime) -> None:
-    runtime = run_units(source("draw", "draw"))
+    runtime = run_units(source("draw", "image_units.py:draw"))
     runtime.apply(start(*(unit(f"draw.{number}") for number in range(4))))
     eventually(lambda: len(seen(runtime, UnitPrinted)) == 4)
     numbers = [number for event in seen(runtime, UnitPrinted) for number in event.line.split()]
@@ -69,6 +69,6 @@ def test_units_start_although_a_preloaded_module_has_a_log_handler_that_python_c
 ) -> None:
     (tmp_path / "shared_log.py").write_text(SHARED_LOG)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), *sys.path]))
-    runtime = run_units(source("draw", "draw"), preload=["shared_log"])
+    runtime = run_units(source("draw", "image_units.py:draw"), preload=["shared_log"])
     runtime.apply(start(unit("draw.1")))
     eventually(lambda: len(seen(runtime, UnitPrinted)) > 0)

@@ -11,10 +11,12 @@ import pytest
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 
 
+@pytest.mark.soak
 def test_random_faults_and_swaps_cost_no_element_without_cause() -> None:
     assert "'kill_unit'" in soaked("runtime", "--faults", "60", "--seed", "3")
 
 
+@pytest.mark.soak
 def test_whatever_real_machines_do_a_run_ends_up_at_the_cost_of_a_fresh_plan() -> None:
     pytest.importorskip("mcap", reason="the soak records: it needs cfgplan[record]")
     told = soaked("operating", "--minutes", "0", "--seed", "3")

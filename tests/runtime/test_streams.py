@@ -70,7 +70,9 @@ def test_nothing_is_lost_uncounted_repeated_or_reordered_while_units_are_replace
 
 
 def test_no_image_is_lost_while_units_are_replaced(run_units: StartRuntime) -> None:
-    runtime = run_units(source(code="images", rate_hz=30), worker(), worker("number", "image_number"))
+    runtime = run_units(
+        source(code="image_units.py:images", rate_hz=30), worker(), worker("number", "image_units.py:image_number")
+    )
     runtime.apply(
         start(
             unit("count.1"),
@@ -158,7 +160,7 @@ def test_what_a_unit_drops_because_it_got_no_cpu_time_is_counted(run_units: Star
 def test_several_consumers_get_the_same_and_one_that_stalls_harms_nobody(run_units: StartRuntime) -> None:
     from cfgplan_runtime import subscribe
 
-    runtime = run_units(source(code="images", rate_hz=25))  # 32 MB, which may wait, are three seconds
+    runtime = run_units(source(code="image_units.py:images", rate_hz=25))  # 32 MB, which may wait, are three seconds
     runtime.apply(start(unit("count.1", topic="/result", port="n")))
     listeners = [Listener("/result"), Listener("/result")]
     stalled = subscribe("/result")
@@ -265,7 +267,7 @@ def test_transformations_whose_state_has_one_name_go_on_from_each_other_without_
 
 
 def test_values_are_those_that_were_sent(run_units: StartRuntime) -> None:
-    runtime = run_units(source(code="images", rate_hz=20))
+    runtime = run_units(source(code="image_units.py:images", rate_hz=20))
     runtime.apply(start(unit("count.1", topic="/result", port="n")))
     listener = Listener("/result")
     eventually(lambda: len(listener.received) > 3)

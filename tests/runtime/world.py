@@ -24,9 +24,7 @@ PATIENCE_S = 60.0
 
 
 def source(label: str = "count", code: str = "count", *, rate_hz: float = 200) -> Transformation:
-    return Transformation(
-        label, outputs=(OutputPort("n", "N"),), source=f"running_units.py:{code}", run=RunOptions(rate_hz=rate_hz)
-    )
+    return Transformation(label, outputs=(OutputPort("n", "N"),), source=code_of(code), run=RunOptions(rate_hz=rate_hz))
 
 
 def worker(
@@ -42,10 +40,15 @@ def worker(
         label,
         tuple(InputPort(name, "N") for name in inputs),
         tuple(OutputPort(name, "Y") for name in outputs),
-        source=f"running_units.py:{code}",
+        source=code_of(code),
         params=params,
         run=run or RunOptions(),
     )
+
+
+def code_of(code: str) -> str:
+    """The source of unit code that is in `running_units.py`, if `code` names no other file."""
+    return code if ":" in code else f"running_units.py:{code}"
 
 
 def unit(unit_id: str, *, topic: str | None = None, port: str = "y", **feeds: str) -> ComputationUnit:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cfgplan.costs import MICROSECONDS
+from cfgplan.amounts import MICROSECONDS
 
 
 def started_usage(pid: int) -> tuple[int, int]:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 
-from cfgplan.domain import ALL
+from cfgplan.rows import ALL
 from cfgplan_runtime.children.messages import GivenElement, GivenInput
 from cfgplan_runtime.streams.element import Element, Moment
 from cfgplan_runtime.streams.inlet import port_of, slot

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import msgspec
 
-from cfgplan.domain import ALL
+from cfgplan.rows import ALL
 from cfgplan_runtime.children import messages
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.failures import Failures

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
+from typing import TYPE_CHECKING
 
 import msgspec
 
-from cfgplan.domain import Transformation
 from cfgplan_runtime.children.messages import UnitOrder
+
+if TYPE_CHECKING:
+    from cfgplan.domain import Transformation
 
 SIGN_NS = 1_000_000_000
 """Nanoseconds between two signs of life of a unit that works."""
@@ -17,6 +19,8 @@ _IDLE_SIGN_NS = 4_000_000_000
 
 def order_digest(transformation: Transformation) -> str:
     """The digest of the order that starts a unit of a transformation, the same for each unit."""
+    import hashlib
+
     order = msgspec.json.encode(unit_order("", transformation, None), order="deterministic")
     return hashlib.sha256(order).hexdigest()
 

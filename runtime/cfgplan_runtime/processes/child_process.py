@@ -16,7 +16,7 @@ from functools import cache
 from math import inf
 from pathlib import Path
 
-from cfgplan.costs import MICROSECONDS
+from cfgplan.amounts import MICROSECONDS
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.exit_status import end_of_process
 from cfgplan_runtime.children.messages import FromChild

@@ -97,7 +97,7 @@ class ProcessBackend:
         self._ahead_ns = 0
         """The difference of this computer's clock from the run's, on which elements have their times."""
         self.run_folder.tell_clock(self.clock_offset_ns)
-        self._nursery = NurseryLink(self.run_folder.id, ("numpy", "numpy.random", *preload))
+        self._nursery = NurseryLink(self.run_folder.id, preload)
         self._nursery_socket: socket.socket | None = None
         self._outlets_lost = 0
         """The number of losses of the outlets in a row."""
