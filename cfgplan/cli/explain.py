@@ -316,7 +316,7 @@ def _demand(environment: Environment, unfed: Unfed, opening: str) -> Iterator[st
         yield f"{opening} {unfed.tag}, but no transformation that offers it can run"
         if unfed.undecided:
             yield f"    not decided yet whether {some(unfed.undecided)} matches"
-        yield from (f"    left out for now: {label}, {why}" for label, why in unfed.left_out.items())
+        yield from (f"    left out for now: {label}, {why}" for label, why in unfed.left_out)
         return
     yield f"{opening} {unfed.tag}, but no output matches"
     fewest = min((len(offer.missing) for offer in unfed.nearest), default=0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 from cfgplan.domain import A_UNIT_OF, Environment, InputPort, Transformation
 from cfgplan.matching import Nearest
@@ -30,7 +30,7 @@ class Unfed:
     providers: tuple[str, ...] = ()
     nearest: tuple[Nearest, ...] = ()
     undecided: tuple[str, ...] = ()
-    left_out: Mapping[str, str] = field(default_factory=dict)
+    left_out: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -199,7 +199,7 @@ class DeadEnds:
 
     def _unfed(self, tag: str, port: str | None) -> Unfed:
         providers = self._givers.of(tag)
-        left_out = {label: self._omitted[label] for label in self._omitted_givers.of(tag)}
+        left_out = tuple((label, self._omitted[label]) for label in self._omitted_givers.of(tag))
         is_unknown = not (providers or left_out or tag.startswith(A_UNIT_OF))
         nearest = self._nearest(tag) if is_unknown and self._nearest is not None else ()
         undecided = (provider for provider in providers if provider not in self._decided.of(tag))
