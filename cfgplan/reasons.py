@@ -15,9 +15,9 @@ from cfgplan.planning import Problem
 from cfgplan.summary import some
 
 LEFT_OUT: Final = "left out for now"
-"""These words of a reason say that facts or failures forbid transformations."""
+"""A reason with these words names transformations that facts or failures forbid."""
 _MOST_OMITTED = 3
-"""The most omitted transformations named in a reason; `left_out` of the environment has all."""
+"""A reason names at most this many omitted transformations; `omitted` of the environment has all."""
 Item = TypeVar("Item")
 
 
@@ -299,9 +299,9 @@ def _is_fed_by(
 
 
 class _DeadEnds:
-    """Why nothing in `possible`, the startable transformations of an environment, can feed a demand.
+    """Reasons why nothing in `possible`, the startable transformations of an environment, can feed a demand.
 
-    Transformations that the environment's library omits count as reasons where they are all that is missing.
+    Transformations that the environment's library omits are the reason if the demand could be fed with them.
     """
 
     def __init__(self, environment: Environment, similarity: Similarity, possible: frozenset[str]) -> None:
@@ -315,7 +315,7 @@ class _DeadEnds:
         self._possible_now = possible
 
     def reason(self, who: str, tag: str) -> str:
-        """A sentence that names the nearest dead end: why nothing can feed the demand of `who` for `tag`."""
+        """Return a sentence that names the nearest dead end: why nothing can feed the demand of `who` for `tag`."""
         wanted = f"{who} wants {tag}"
         if not self._possible.isdisjoint(self._providers.of(tag)):
             named = (f"{label} ({self._omitted[label]})" for label in self._omitted_for(tag))
@@ -323,7 +323,7 @@ class _DeadEnds:
         return f"{wanted}, but {self._nearest(tag)}"
 
     def _omitted_for(self, tag: str) -> list[str]:
-        """The omitted transformations without which `tag` can't be fed now, the nearest first."""
+        """Return the omitted transformations whose absence keeps `tag` from being fed, the nearest first."""
         ahead = [label for label in self._providers.of(tag) if label in self._possible]
         seen, found = set(ahead), []
         for label in ahead:

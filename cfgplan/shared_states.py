@@ -45,7 +45,7 @@ def shared_states(problem: Problem) -> Iterator[str]:
 
 
 def _is_enough(problem: Problem, label: str, others: Collection[str]) -> bool:
-    """Whether one unit of a transformation, and none of the `others`, may meet all targets that can be met."""
+    """Whether one unit of a transformation may meet all targets that can be met, without any of the `others`."""
     environment = problem.environment
     library = environment.transformation
     if library[label].min_instances > 1 or any(library[other].min_instances for other in others):
@@ -58,7 +58,7 @@ def _is_enough(problem: Problem, label: str, others: Collection[str]) -> bool:
 
 
 def _met(problem: Problem, environment: Environment, units: dict[str, int]) -> set[str]:
-    """The targets that some configuration may meet, with at most these numbers of units."""
+    """Return the targets that some configuration with at most these numbers of units may meet."""
     running = Counter(unit.transformation for unit in environment.units)
     most = {t.label: problem.most_new(t) + running[t.label] for t in environment.library} | units
     providers = Providers(environment.library, problem.similarity.optimistic)

@@ -117,7 +117,7 @@ def omitting(wanted: str, omitted: dict[str, str], *library: Transformation) -> 
     return unmet_reasons(Problem(environment, Similarity({tag: frozenset(tag) for tag in "ABCDE"}), 1)).get("q")
 
 
-def test_what_only_omitted_transformations_could_feed_is_said_with_the_reasons() -> None:
+def test_a_reason_names_the_omitted_transformations_that_a_target_lacks_and_why() -> None:
     night, murky = "night is true", "visibility is 1 m"
     library = make("eye", "", "A"), make("sonar", "", "A"), make("map", "A", "B"), make("drive", "B", "C")
     left_out = "but needs transformations that are left out for now:"
@@ -133,13 +133,13 @@ def test_omitted_transformations_that_could_not_be_fed_either_are_no_reason() ->
     assert text == "target q wants B, but input in0 of map needs A, and no output matches"
 
 
-def test_omitted_members_of_a_distinct_group_are_said() -> None:
+def test_omitted_members_of_a_distinct_group_are_named() -> None:
     fusion = make("fusion", "AA", "B", distinct="g")
     text = omitting("B", {"eye": "night is true"}, make("eye", "", "A"), make("sonar", "", "A"), fusion)
     assert text == "target q wants B, but needs transformations that are left out for now: eye (night is true)"
 
 
-def test_an_omitted_transformation_that_a_target_wants_to_run_is_said() -> None:
+def test_an_omitted_transformation_that_a_target_wants_to_run_is_named() -> None:
     environment = Environment((), (make("eye", "", "A"),), (Target("q", run="eye"),)).omitting({"eye": "it is night"})
     (text,) = unmet_reasons(Problem(environment, Similarity({}), 1)).values()
     assert text.endswith("but needs transformations that are left out for now: eye (it is night)")

@@ -28,7 +28,7 @@ from setproctitle import getproctitle, setproctitle
 
 _LONGEST_BYTES = 1 << 18
 _HIGH_NUMBER = 200
-"""The least number of a descriptor that is on its way to the number it has with the caller."""
+"""Descriptors get numbers from here on until all of the caller's numbers are free."""
 _CLONE3, _CLONE_PARENT = 435, 0x8000
 _CLONE_ARGUMENTS = 8
 _LOOK_S = 0.005
@@ -146,7 +146,7 @@ def _fork_a_sibling() -> int:
 
 
 def _become(order: dict[str, Any]) -> None:
-    """Be what `python -c` would be with this order."""
+    """Make this process like one that `python -c` has started with this order."""
     import fcntl
 
     if order["in_session"]:

@@ -106,8 +106,8 @@ def _left_out(world: World) -> dict[str, object]:
 def _faults(
     options: argparse.Namespace, screen: Screen, env: str | None = None
 ) -> tuple[World, tuple[WiringFault, ...], tuple[str, ...]]:
-    """Return the world of the file `env`, or else of the one that the options name, its faults and oddities, and the
-    limits of its observations.
+    """Return the world of the file `env` (by default the file of the options), its faults, and its oddities: limits of
+    observations, and states that two units would save.
     """
     from cfgplan import answers, api
     from cfgplan.explaining import probable_first

@@ -272,7 +272,7 @@ def _export(options: argparse.Namespace, screen: Screen) -> Exit:
     of_launch = options.plan or options.only or options.host or options.include or shared.asks_what_if(options)
     if options.what != "launch" and of_launch:
         raise InputError.of(
-            "--plan, --only, --include, --host and `what if` options are only for `export launch`",
+            "--plan, --only, --include, --host, --without, --with, --set and --observed are only for `export launch`",
             mend="write `cfgplan export launch ENV`",
         )
     if options.what == "schema":

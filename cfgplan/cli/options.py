@@ -85,7 +85,7 @@ def add_matching(parser: argparse.ArgumentParser) -> None:
 
 
 def add_planning(parser: argparse.ArgumentParser, what_if: str | None = None) -> None:
-    """Options of every command that plans, with a choice of the planner; `what_if` is as in `add_what_if`."""
+    """Add the options of every command that plans; `what_if` is the `restriction` of `add_what_if`."""
     from cfgplan.api import PLANNER_NAMES
 
     names = f"the planner: {', '.join(PLANNER_NAMES)}, or your own as module:function (default: cpsat)"
@@ -109,9 +109,7 @@ def add_planning(parser: argparse.ArgumentParser, what_if: str | None = None) ->
 
 
 def add_what_if(parser: argparse.ArgumentParser, restriction: str | None = None) -> None:
-    """Options of every command that plans or judges: a change of the environment. `restriction` says when they are
-    allowed, if not always.
-    """
+    """Add the options that change a command's environment. `restriction` says when they are allowed, if not always."""
     supposing = parser.add_argument_group("what if", restriction)
     gone = "plan without this transformation, running unit or target; may be repeated"
     also = "plan with the transformations and targets of this file too; may be repeated"
@@ -172,7 +170,7 @@ def add_survive(parser: argparse.ArgumentParser) -> None:
 
 
 def load(options: argparse.Namespace, screen: Screen, env: str | None = None) -> api.World:
-    """The world of the file `env`, or else of the one that the options name, with the changes that they ask for."""
+    """Return the world of the file `env` (by default the file of the options), with the changes of the options."""
     from cfgplan import api
 
     with screen.phase("load"):

@@ -55,10 +55,10 @@ class Decide:
     choices: int = row(
         100, "facts", "Not if more facts than this have more providers than they take.", "NAO; random libraries"
     )
-    parts: int = row(120, "parts", "Among so many that share labels the solver chooses.", SHARED)
-    contracted: float = row(0.5, "share of the labels", "Among so many parts it always does.", SHARED)
-    choosing: float = row(0.03, "the engine's s", "It may take so long.", SHARED)
-    round: float = row(0.001, "the engine's s", "Each of its rounds takes so long: a fixed part.", SHARED)
+    parts: int = row(120, "parts", "The solver chooses among at most this many that share labels.", SHARED)
+    contracted: float = row(0.5, "share of the labels", "It also chooses among more, up to this share.", SHARED)
+    choosing: float = row(0.03, "the engine's s", "It may take this long.", SHARED)
+    round: float = row(0.001, "the engine's s", "Each of its rounds takes this long: a fixed part.", SHARED)
     chained: int = row(
         16, "labels", "Above this size, most expensive chains are charged before the search.", "NAO, 20 robots"
     )
@@ -127,10 +127,10 @@ class Close:
     many: int = row(3000, "labels", "From here on a linear program takes long: its rounds get more cuts.", LIBRARIES)
     times: int = row(16, "times", "A round then chooses needs this often, each time for other cuts.", LIBRARIES)
     part: float = row(
-        0.25, "share", "From `many` labels on, those of good plans come first if they are fewer.", LIBRARIES
+        0.25, "share", "From `many` labels on, labels of good plans come first if their share is less.", LIBRARIES
     )
-    likely: int = row(12, "linear programs", "So many among these come before the next one of all.", LIBRARIES)
-    far_times: int = row(4, "times", "So often with fewer labels if the gap is that large.", LIBRARIES)
+    likely: int = row(12, "linear programs", "This many over these labels precede the next over all.", LIBRARIES)
+    far_times: int = row(4, "times", "As `times`, with fewer than `many` labels and a gap above `far`.", LIBRARIES)
     entries: int = row(3, "entries/link", "The first linear program has about this many.", TIMED)
     trust: float = row(0.8, "share", "Repairs reckon labels cheaper by this part of their fraction.", LIBRARIES)
     need: float = row(16.0, "steps/need", "The work for a round: for each need.", TIMED)
@@ -160,7 +160,7 @@ class Near:
     promising: float = row(0.03, "share of the gap", "Labels in plans so far above the bound are used.", LIBRARIES)
     wider: float = row(3.0, "times", "This share grows so much whenever they end.", LIBRARIES)
     fewest: int = row(4, "facts", "At least this many wanted facts are planned anew together.", LIBRARIES)
-    growth: float = row(1.1, "times", "So many times more, or fewer, are, as the solver takes less or more.", LIBRARIES)
+    growth: float = row(1.1, "times", "This number grows, or shrinks, if the solver is fast, or slow.", LIBRARIES)
     planned: float = row(0.5, "share", "So often what shares cost in the plan is drawn together.", LIBRARIES)
     used: float = row(0.02, "labels", "A linear program uses a label from this fraction on.", LIBRARIES)
     work: float = row(0.5, "the engine's s", "The solver may take so long for a neighbourhood.", LIBRARIES)
@@ -168,11 +168,11 @@ class Near:
     link: float = row(3e-6, "the engine's s/link", "The same for each link.", TIMED)
     kernels: tuple[float, ...] = row(
         (0.3, 0.1, 0.0),
-        "labels",
-        "Labels used more than this come first, in turn; if the solver has hope, the last only.",
+        "fractions",
+        "Labels used more than this are searched first, in turn; if the solver has hope, the last only.",
         LIBRARIES,
     )
-    kernel: float = row(15.0, "the engine's us/label^1.5", "Each of these searches may take so long.", LIBRARIES)
+    kernel: float = row(15.0, "the engine's us/label^1.5", "Each of these searches may take this long.", LIBRARIES)
     small: int = row(1000, "labels", "Below it, probing takes longer than it saves.", LIBRARIES)
     in_vain: float = row(
         12.0, "the engine's us/label^1.5", "Without hope, they end so long after the last cheaper plan.", LIBRARIES

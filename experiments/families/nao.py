@@ -49,8 +49,8 @@ def nao(
 
     `event` is `registered` (nothing runs yet), `lost` (the first robot's pipeline has lost its segmenter) or
     `left` (the first robot's transformations but its camera have left the library while its pipeline
-    runs). With `fusion` the target wants a position fused from that many different robots. Each `sharing` robots have
-    a camera in common, and may use those of the next groups of robots too, so that each has `cameras` to choose from.
+    runs). With `fusion` the target wants a position fused from that many different robots. Each group of
+    `sharing` robots has a camera in common. A robot may use `cameras` of them, also those of neighbouring groups.
     """
     if robots < 1 or fusion > robots or fusion == 1:
         raise InvalidValueError("the case needs a robot, and at least two of them for a fusion")
@@ -88,7 +88,7 @@ def nao(
 def _with_shared_cameras(
     library: list[Transformation], robots: int, sharing: int, cameras: int
 ) -> list[Transformation]:
-    """Leave a camera for each `sharing` robots; it films for `cameras` groups of them, the first follows the last."""
+    """Keep one camera for each group of `sharing` robots. It films for `cameras` groups; the first follows the last."""
     groups = [range(first, min(first + sharing, robots + 1)) for first in range(1, robots + 1, sharing)]
     films: dict[str, list[str]] = {}
     for number, group in enumerate(groups):

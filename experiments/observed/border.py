@@ -1,4 +1,4 @@
-"""How often a noisy fact changes sides while its true value stays on a bound, or near it.
+"""Count how often a noisy fact changes sides while its true value stays on a bound, or near it.
 
 python experiments/observed/border.py [--hours 20] [--noise 0.2] [--seed 0]
 

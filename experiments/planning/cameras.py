@@ -1,8 +1,8 @@
 """Robots that share cameras, by cfgplan and by HiGHS: `python experiments/planning/cameras.py --seeds 9301 9302 9303`.
 
-Each planner has a process of its own and plans each problem three times, in turn with the other one. Prints a row for
-each family with the median of the least CPU milliseconds of each planner, and the median of their ratio; then
-that of all. Ends with 1 if two plans differ in cost.
+Each planner has a process of its own and plans each problem three times, in turn with the other one; its least CPU time
+counts. Prints a row for each family, with the median CPU milliseconds of each planner and the median of their ratio,
+then a row with the median ratio of all problems. Ends with 1 if two plans differ in cost.
 """
 
 from __future__ import annotations

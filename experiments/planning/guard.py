@@ -2,7 +2,7 @@
 
 Each plan is made in a process of its own, which imports the planner first; CPU seconds of that process are taken. With
 two checkouts each instance is planned by one and by the other in turn. Prints a row for each instance, with the gap
-between plan and bound where there is no proof. Prints for each family the geometric mean of the ratios of time, and, if
+between cost and bound of an unproven plan. Prints for each family the geometric mean of the ratios of time, and, if
 one of the two has unproven plans, the ratio of their costs and their mean gaps. Ends with 1 if a cost, or the number of
 rewired or started units, differs although both prove it, if a proof is lost, or if a family is slower by more than a
 tenth.
@@ -167,13 +167,13 @@ def rows(checkouts: list[Path], families: list[str], seeds: list[int], limit_s: 
 
 
 def _without_proof(pairs: list[tuple[Figures, Figures]]) -> str:
-    """Return how costs and gaps compare where one of the two has no proof; empty if there is no such plan."""
+    """Compare costs and gaps of the pairs with an unproven plan; empty without such pairs."""
     unproven = [(before, after) for before, after in pairs if not (before.is_proven and after.is_proven)]
     if not unproven:
         return ""
     costs = [after.cost_us / before.cost_us for before, after in unproven if before.cost_us and after.cost_us]
     gaps = mean(before.gap for before, _ in unproven), mean(after.gap for _, after in unproven)
-    told = f"gap {gaps[0]:.1%} before and {gaps[1]:.1%} after, where one has no proof ({len(unproven)})"
+    told = f"gap {gaps[0]:.1%} before and {gaps[1]:.1%} after, of {len(unproven)} with an unproven plan"
     return f", costs {geometric_mean(costs):.4f} and {told}" if costs else f", {told}"
 
 

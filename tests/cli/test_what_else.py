@@ -122,7 +122,7 @@ def test_the_points_of_a_front_have_names(run: Run, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("verb", ["check", "solve", "explain", "sensitivity", "graph", "compare", "run", "export"])
-def test_every_verb_that_plans_or_judges_supposes_the_same(verb: str, run: Run) -> None:
+def test_check_and_every_command_that_plans_have_the_what_if_options(verb: str, run: Run) -> None:
     text = run(verb, "--help").out
     assert "what if" in text
     assert all(f"  --{name}" in text for name in ("without NAME", "with FILE", "set KEY=VALUE", "observed FILE"))
@@ -136,7 +136,7 @@ targets: [{label: i, topic: /i, tag: Image}]
 """
 
 
-def test_check_judges_the_supposed_world_and_the_other_file_too(run: Run, write: Callable[[str], Path]) -> None:
+def test_check_applies_what_if_options_to_both_files(run: Run, write: Callable[[str], Path]) -> None:
     env = write(NIGHT)
     assert run("check", env).code == 0
     at_night = run("check", env, "--set", "facts.night=true")
@@ -145,7 +145,7 @@ def test_check_judges_the_supposed_world_and_the_other_file_too(run: Run, write:
     assert "unit eye.1 runs, but no target needs it" in run("check", env, "--without", "i").out
 
 
-def test_all_words_for_what_can_not_be_met_now_name_the_fact(run: Run, write: Callable[[str], Path]) -> None:
+def test_each_command_names_the_fact_that_keeps_a_target_from_being_met(run: Run, write: Callable[[str], Path]) -> None:
     env = write(NIGHT)
     dark = (env, "--set", "facts.night=true")
     unmet = "target i wants Image, but needs transformations that are left out for now: eye (night is true)"
@@ -159,10 +159,10 @@ def test_all_words_for_what_can_not_be_met_now_name_the_fact(run: Run, write: Ca
     assert "left out for now: eye, night is true" in run("sensitivity", *dark).err
 
 
-def test_a_plan_for_a_launch_file_is_made_for_the_supposed_world(run: Run, write: Callable[[str], Path]) -> None:
+def test_export_launch_plans_with_what_if_options(run: Run, write: Callable[[str], Path]) -> None:
     assert run("export", "launch", write(NIGHT), "--set", "facts.night=true").code == 10
     refused = run("export", "yaml", write(NIGHT), "--set", "facts.night=true")
-    assert "`what if` options are only for `export launch`" in refused.err
+    assert "--with, --set and --observed are only for `export launch`" in refused.err
 
 
 MODES = """

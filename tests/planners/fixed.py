@@ -165,7 +165,7 @@ class Apart(Hubs):
 
 
 class Explained(Apart):
-    """The same where each solution that is no plan has to be cut for its reason, and none is forbidden alone.
+    """The same, but each solution that is no plan has to be cut for its reason, and none is forbidden alone.
 
     As in large problems, units that might feed each other have no places in an order.
     """

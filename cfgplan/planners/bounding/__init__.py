@@ -2,5 +2,5 @@
 
 `landmarks` finds them, `bounds` charges them with their members' costs and decides when to stop. `branching` is a
 search that branches over landmarks on plain lists. `disjoint` needs no landmarks: it adds up disjoint parts of a plan.
-`contraction` makes one part of labels that are used only together, and has the solver choose among the parts.
+`contraction` joins labels that are used only together into one part; the solver chooses among the parts.
 """

@@ -31,7 +31,7 @@ class Need(NamedTuple):
 class Contraction:
     """The `parts` of a core, each a list of labels, and what each costs.
 
-    The last part is the goal with all labels that every plan uses, which `certain` are.
+    The last part is the goal with the labels of `certain`, which every plan uses.
     """
 
     def __init__(self, core: Core, cost: Sequence[int], certain: Collection[int]) -> None:
@@ -107,8 +107,8 @@ class Contraction:
 def cheapest_choice(core: Core, cost: Sequence[int], certain: Collection[int], clock: Clock) -> set[int] | None:
     """Return the cheapest labels that meet the core's goal and can be started one after the other.
 
-    `certain` has labels that every plan uses. Returns None if no labels do, if that is not proven within the clock and
-    `tuning.decide.choosing`, or if too many parts are left.
+    `certain` has labels that every plan uses. Returns None if no such labels exist, if they are not proven cheapest
+    within the clock and `tuning.decide.choosing`, or if too many parts are left.
     """
     contraction, tuning = Contraction(core, cost, certain), clock.tuning.decide
     if len(contraction.parts) > max(tuning.parts, tuning.contracted * core.goal):

@@ -130,7 +130,7 @@ class GapClosing:
         return Neighbourhoods(bound, plan, self._fractions[labels], self._step, near)
 
     def _promising(self, share: float) -> Bound:
-        """The bound for the labels of the plan and those of plans in this part of the gap, the lowest."""
+        """Return the bound for the labels of the plan and of all plans in the lowest `share` of the gap."""
         labels = self.bound.core.labels
         within = self.bound.value + int(min(share, 1.0) * (self.limit - self.bound.value))
         return self.bound.restricted(self.bound.may_be_used(within) | np.isin(labels, self.plan))
@@ -215,10 +215,9 @@ class GapClosing:
         return took
 
     def _likely_landmarks(self, part: Bound, clock: Clock) -> tuple[float, list[Landmark]]:
-        """Landmarks that fractions of a part of the labels miss, by several linear programs, which are small.
+        """Return about how many steps this took, and landmarks found by small linear programs over some of the labels.
 
-        The landmarks that the last one charges are returned as those of the same zones among all labels. Returns about
-        how many steps this took, too.
+        Only landmarks that the last program charges are returned, each as the landmark of its zone among all labels.
         """
         own, core, took = self._tuning, part.core, 0.0
         program = LandmarkProgram(core, self._kinds[core.labels], part.cost)

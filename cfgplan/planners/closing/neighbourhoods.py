@@ -62,9 +62,7 @@ class Neighbourhoods:
         return bool(self._in_vain >= work * self._scale)
 
     def go_on(self, clock: Clock) -> None:
-        """Look for a cheaper plan: first among the labels in use, from the most used on, then each time near other
-        targets.
-        """
+        """Look for a cheaper plan: first among the labels in use, the most used first, then near changing targets."""
         before, limit = self._took, self.limit
         if before:
             self._near(self._related(), clock)
@@ -116,8 +114,8 @@ class Neighbourhoods:
         self._size = min(max(self._size, self._tuning.fewest), len(self._wanted))
 
     def _from_likely_labels(self, least: float, clock: Clock) -> None:
-        """Look for a plan among the labels that the plan uses, or the linear program by more than a fraction (kernel
-        search: Angelelli, Mansini and Speranza 2010).
+        """Look for a plan among the labels of the plan and those whose fraction in the linear program exceeds `least`
+        (kernel search: Angelelli, Mansini and Speranza 2010).
         """
         limit = self.limit - self._step
         self._took += self._look

@@ -76,7 +76,7 @@ def use_all_required(work: SolveRun) -> bool:
 def prove_by_parts(work: SolveRun) -> bool:
     """Choose the cheapest parts of a plan if inputs are distinct and no landmarks are known yet.
 
-    Parts that share nothing are added up, others are chosen by the solver. If many facts have more providers than they
+    Parts that share nothing are added up; among others the solver chooses. If many facts have more providers than they
     take, this is skipped: their parts mostly share labels.
     """
     network, core, tuning = work.structure.network, work.structure.network.core, work.clock.tuning.decide

@@ -29,7 +29,7 @@ NEVER: Final = 2**60
 MOST_DEMANDS = 4
 """A group with more different demands has multi-facts for single ones, pairs and all together only."""
 MOST_LISTED = 50
-"""Up to this number of labels and facts, lists serve better than arrays."""
+"""Up to this number of labels and facts, lists are faster than arrays."""
 MOST_PASSES = 60
 """A core that takes more passes than this is deep: its facts are better followed one by one."""
 

@@ -119,7 +119,7 @@ class Agent:
         given = config(listen, connect, certificates)
         self._validity = None if certificates is None else Validity(certificates, name)
         with ExitStack() as stack:
-            # When another host fails, its units come here: those that need numpy don't wait for its import then.
+            # If another host fails, its units may start here, and should not wait for the import of numpy.
             self._backend = ProcessBackend(folder=folder, preload=(*NUMPY, *preload), base=base, cpu=cpu)
             stack.callback(self._backend.close)
             self._link = ZenohLink(given)

@@ -377,7 +377,7 @@ _EVENTS = {kind.__name__: kind for kind in events.Event.__subclasses__()}
 def digest_of_fields() -> str:
     """Return a digest of all messages and events, and of the names, types and defaults of their fields.
 
-    A field that only one version of cfgplan knows could be read without its meaning, so ends of a session compare it.
+    The two ends of a session compare it, since each drops fields that it does not know.
     """
     _, kinds = msgspec.json.schema_components([Order, FromAgent, *_EVENTS.values()])
     said = {name: {key: kind[key] for key in kind.keys() - {"description"}} for name, kind in kinds.items()}

@@ -146,7 +146,7 @@ class Presence:
         self._round_s = inf
         """When this process last handled what had arrived."""
         self._left_alone: dict[str, str] = {}
-        """The ids of agents that are alive but can't be given orders."""
+        """The hosts of agents that are alive but can't be given orders, by the agents' ids."""
         self._refusing: list[HostState] = []
         """Hosts that were found to obey another manager, at the beginning."""
         for kind in (orders.SAY, orders.HEARD, orders.REFUSE):

@@ -490,7 +490,7 @@ def _exchanged(before: Environment, plan: Plan, new: ComputationUnit, spare: Com
 
 def _judged(findings: Findings, found: BestEffort, *, optimises: bool) -> Findings:
     plan, planned = found.plan, findings.planned
-    # A bound that is not met, or a cost, may be so only for transformations that are left out.
+    # Transformations that are left out may be why a bound is missed or a cost is too large.
     left_out = f" (left out for now: {some(sorted(findings.avoided), _MOST_AVOIDED_NAMED)})" if findings.avoided else ""
     given_up = {label: why if LEFT_OUT in why else f"{why}{left_out}" for label, why in found.given_up.items()}
     asked = found.problem

@@ -77,7 +77,7 @@ def _with_facts(
     if not any(_is_other(declared, fact, state.situation.facts, values) for fact in declared.variable.values()):
         return transition.also(*(Respond(outcome) for outcome in outcomes))
     before, after = state.plan_input.world.environment, transition.state.plan_input.world.environment
-    lost, back = _barred_anew(before, after), _barred_anew(after, before)
+    lost, back = _newly_barred(before, after), _newly_barred(after, before)
     library = before.transformation
     requalified = [label for label in after.following if after.transformation[label] != library[label]]
     if not (lost or back or requalified):
@@ -87,9 +87,9 @@ def _with_facts(
     return transition.perturbed(changed, outcomes)
 
 
-def _barred_anew(before: Environment, after: Environment) -> set[str]:
-    """The transformations that may run before and not after, and those for which this holds on a host, as
-    `mapper on r1`.
+def _newly_barred(before: Environment, after: Environment) -> set[str]:
+    """Return the transformations that may run in `before` and not in `after`. `mapper on r1` is one that this concerns
+    only on a host.
     """
     found = after.left_out.keys() - before.left_out.keys()
     for label, hosts in after.barred.items():

@@ -66,7 +66,7 @@ _SOCKETS_OF_A_CHILD = 2
 
 
 class Shared:
-    """What the children share with the nursery: imported modules, in pages of memory that no child has to copy."""
+    """Imported modules that the children share with the nursery, in pages of memory that no child has to copy."""
 
     def __init__(self, modules: Sequence[str]) -> None:
         self._taken: list[bytes] = []
@@ -230,9 +230,9 @@ class Nursery:
 
 
 def imports_packages(source: str, folder: str) -> bool:
-    """Whether unit code imports an installed package, which may import numpy, as far as the text of its files says.
+    """Whether unit code imports an installed package, which may import numpy.
 
-    The files are that of the source and those beside it that they import.
+    This looks for imports in the text of the source's file and of the files beside it that it imports.
     """
     if names_program(source):
         return False
@@ -258,7 +258,7 @@ def imports_packages(source: str, folder: str) -> bool:
 
 
 def _imported(text: str) -> Iterator[str]:
-    """The names of the modules that a Python file imports, without the names of their own modules."""
+    """Yield the top-level names of the modules that a Python file imports."""
     for of_names, listed in _IMPORT.findall(text):
         for name in [of_names] if of_names else listed.split(","):
             yield name.strip().partition(".")[0].partition(" ")[0]
