@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 import warm
 import warm_cfgplan
-from warm_python import warm_subprocess
+from warm_python import WarmPython, warm_subprocess
 
 MODELS = Path(__file__).parents[1] / "models"
 LOST = MODELS / "nao" / "2-segmenter-lost.yaml"
@@ -126,6 +126,15 @@ def test_a_warm_python_is_a_child_of_its_caller_with_its_environment_folder_and_
         assert child.wait(PATIENCE_S) == 5
         assert said[-1][0].pop() == str(theirs)
     assert said == [[["-c"], os.getpid(), True, "so", str(tmp_path)]] * 2
+
+
+def test_a_cold_python_starts_where_the_system_refuses_to_fork_a_sibling() -> None:
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours, theirs:
+        theirs.send(b"-1")
+        child = WarmPython(ours).start([sys.executable, "-c", "import sys; sys.exit(3)"])
+    assert isinstance(child, subprocess.Popen)
+    assert child.wait(60) == 3
 
 
 def test_a_warm_python_that_is_killed_is_known_to_be() -> None:

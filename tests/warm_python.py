@@ -48,8 +48,8 @@ class WarmPython:
         stdin: int = subprocess.DEVNULL,
         start_new_session: bool = False,
         process_group: int | None = None,
-    ) -> WarmChild:
-        """Start `python -c CODE ARGUMENT...`, as `subprocess.Popen` does."""
+    ) -> WarmChild | subprocess.Popen[bytes]:
+        """Start `python -c CODE ARGUMENT...`, as `subprocess.Popen` does, or by it if the system refuses `clone3`."""
         _, option, code, *arguments = command
         assert (option, stdin) == ("-c", subprocess.DEVNULL), "nothing else is served"
         asked = {
@@ -58,7 +58,11 @@ class WarmPython:
         }  # fmt: skip
         with Path(os.devnull).open() as nothing:
             socket.send_fds(self._end, [json.dumps(asked).encode()], [nothing.fileno(), 1, 2, *pass_fds])
-        return WarmChild(int(self._end.recv(_LONGEST_BYTES)))
+        pid = int(self._end.recv(_LONGEST_BYTES))
+        if pid > 0:
+            return WarmChild(pid)
+        as_asked: dict[str, Any] = {"start_new_session": start_new_session, "process_group": process_group}
+        return subprocess.Popen(command, pass_fds=pass_fds, stdin=stdin, **as_asked)
 
 
 class WarmChild:
@@ -134,7 +138,10 @@ def _serve(end: socket.socket, parent: int) -> dict[str, Any] | None:
 
 
 def _fork_a_sibling() -> int:
-    """Fork this process, which has one thread. The child's parent is this process's parent. Returns as `os.fork`."""
+    """Fork this process, which has one thread. The child's parent is this process's parent.
+
+    Returns as `os.fork`, or -1 if the system refuses (containers may forbid `clone3`).
+    """
     arguments = (ctypes.c_uint64 * _CLONE_ARGUMENTS)(_CLONE_PARENT)
     ctypes.pythonapi.PyOS_BeforeFork()
     pid = int(ctypes.PyDLL(None).syscall(_CLONE3, ctypes.byref(arguments), ctypes.sizeof(arguments)))

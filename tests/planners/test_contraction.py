@@ -16,7 +16,7 @@ from worlds import running_units
 from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.planners.bounding.contraction import Contraction, cheapest_choice
 from cfgplan.planners.cpsat import PlannerSession
-from cfgplan.planners.networks.core import Core
+from cfgplan.planners.networks.core import Core, Rows
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import USUAL, Tuning
 from cfgplan.planning import Problem, Status
@@ -51,6 +51,9 @@ def least_cost(core: Core, cost: list[int], certain: Collection[int]) -> int | N
 def test_the_choice_is_grounded_and_none_is_cheaper(drawn: tuple[Core, list[int]], wanted: set[int]) -> None:
     core, cost = drawn
     certain = sorted(label for label in wanted if label < core.goal)
+    *needs, goal = core.needs.lists.values()
+    goal = sorted({*goal, *(fact for label in certain for fact in needs[label])})  # as in a network
+    core = replace(core, needs=Rows.of([*needs, goal]))
     chosen = cheapest_choice(core, cost, certain, Clock())
     least = least_cost(core, cost, certain)
     assert (chosen is None) == (least is None)

@@ -107,8 +107,8 @@ class Contraction:
 def cheapest_choice(core: Core, cost: Sequence[int], certain: Collection[int], clock: Clock) -> set[int] | None:
     """Return the cheapest labels that meet the core's goal and can be started one after the other.
 
-    `certain` has labels that every plan uses. Returns None if no such labels exist, if they are not proven cheapest
-    within the clock and `tuning.decide.choosing`, or if too many parts are left.
+    `certain` has labels that every plan uses; the goal must need all that they need. Returns None if no such labels
+    exist, if they are not proven cheapest within the clock and `tuning.decide.choosing`, or if too many parts are left.
     """
     contraction, tuning = Contraction(core, cost, certain), clock.tuning.decide
     if len(contraction.parts) > max(tuning.parts, tuning.contracted * core.goal):
