@@ -264,7 +264,7 @@ def test_unknown_names_and_limits_are_refused() -> None:
         generated("dynasty")
     with pytest.raises(InputError, match="can't be made"):
         _ = generated("nao", wheels=4).problem
-    with pytest.raises(InputError, match="it takes robots, event, fusion, horizon_s"):
+    with pytest.raises(InputError, match="it takes robots, event, fusion, sharing, cameras, horizon_s"):
         _ = generated("nao", robots="two").problem
     with pytest.raises(InvalidValueError):
         Limits(time_limit_s=0)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, cast
 
 import msgspec
@@ -176,6 +177,26 @@ def test_a_field_more_or_of_another_type_is_noticed_and_another_docstring_is_not
     assert len({known, digest_with(unit=str, after=str), digest_with(unit=bytes)}) == 3
     doc = "End a unit."
     assert digest_with(unit=str) == known
+
+
+def test_versions_of_msgspec_that_order_and_describe_types_in_other_ways_have_the_same_digest(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """0.20 lists None before the other types of a field, 0.23 after them."""
+    known, schema = digest_of_fields(), msgspec.json.schema_components
+
+    def other_schema(types: Iterable[Any]) -> tuple[object, object]:
+        return schema(types)[0], json.loads(json.dumps(schema(types)[1]), object_hook=reversed_types)
+
+    def reversed_types(read: dict[str, Any]) -> dict[str, Any]:
+        return {key: value[::-1] if key == "anyOf" else value for key, value in read.items()}
+
+    monkeypatch.setattr(msgspec.json, "schema_components", other_schema)
+    assert digest_of_fields.__wrapped__() == known
+    monkeypatch.setattr(orders, "Order", StopOrder | Held | GreetOrder)
+    order_of = digest_of_fields.__wrapped__()
+    monkeypatch.setattr(orders, "Order", GreetOrder | StopOrder | Held)
+    assert digest_of_fields.__wrapped__() == order_of
 
 
 def test_an_agent_stays_with_its_manager_if_it_can_not_read_the_orders_of_a_later_one() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise
@@ -16,6 +16,7 @@ import pytest
 from cfgplan_runtime.errors import StaleChangeSetError
 from cfgplan_runtime.fleet.certificates import MANAGER
 from cfgplan_runtime.fleet.links import LEASE_S, config
+from cfgplan_runtime.fleet.presence import AgentNews, Presence
 from cfgplan_runtime.fleet.ways import alive_key
 from cfgplan_runtime.operating.flows import Flows
 from cfgplan_runtime.streams.run_folder import address, base_folder, topics_of
@@ -589,3 +590,17 @@ def test_a_manager_that_was_suspended_while_another_took_over_is_told_when_it_go
             process.send_signal(signal.SIGCONT)
             assert process.stdout is not None
             assert process.stdout.readline() == b"it obeys another manager\n"
+
+
+def test_a_host_that_joins_and_is_lost_while_others_are_awaited_is_lost_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    awaited = Presence.await_all
+
+    def lost_meanwhile(presence: Presence, hosts: Sequence[str], wait_s: float, *, takes_over: bool) -> list[AgentNews]:
+        happened = awaited(presence, hosts, wait_s, takes_over=takes_over)
+        presence.leave_alone(presence.there["r1"], "its agent is gone")
+        return [*happened, *presence.wait(0.0)[0]]
+
+    monkeypatch.setattr(Presence, "await_all", lost_meanwhile)
+    with small_fleet("r1", "r2") as fleet, fleet.backend("r1", "r2") as backend:
+        told = [event for event in backend.wait(0.0) if isinstance(event, HostJoined | HostLost) and event.host == "r1"]
+        assert [type(event) for event in told] == [HostJoined, HostLost]

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 from cfgplan_runtime.processes.nursery import imports_packages
-from cfgplan_runtime.supervision.events import UnitPrinted
+from cfgplan_runtime.processes.process_backend import NURSERY_HELPER, ProcessBackend
+from cfgplan_runtime.supervision.events import Event, HelperAlive, UnitPrinted, UnitReady
 from watching import StartRuntime, seen
-from world import eventually, source, start, unit
+from world import PATIENCE_S, eventually, source, start, unit
 
 
 @pytest.mark.parametrize(
@@ -47,6 +50,8 @@ def test_numpy_may_be_needed_by_code_that_imports_an_installed_package_itself_or
         ("program:./mask", False),
         ("cfgplan_runtime.mqtt:Subscriber", False),
         ("absent.py:Unit", False),
+        ("abs\0ent.py:Unit", False),
+        ("abs\0ent:Unit", True),
         ("package.of.others:Unit", True),
     ],
 )
@@ -63,3 +68,24 @@ def test_numpy_is_imported_before_the_first_unit_that_may_need_it_and_shared_wit
         eventually(lambda number=number: len(seen(runtime, UnitPrinted)) > number)
     first, _, last = (event.line for event in seen(runtime, UnitPrinted))
     assert (first, last) == ("False", "True")
+
+
+def test_a_nursery_that_imports_numpy_for_a_unit_may_be_silent_for_as_long_as_at_its_start() -> None:
+    told = list[Event]()
+
+    def patience_s(of: Sequence[Event]) -> list[float]:
+        return [event.patience_s for event in of if isinstance(event, HelperAlive) and event.helper == NURSERY_HELPER]
+
+    def is_ready() -> bool:
+        told.extend(backend.wait(PATIENCE_S))
+        return any(isinstance(event, UnitReady) for event in told)
+
+    with closing(ProcessBackend(folder=Path(__file__).parent)) as backend:
+        backend.warm_up()
+        (at_the_start,) = patience_s(backend.wait(0.0))
+        while (usual := patience_s(backend.wait(PATIENCE_S))[-1]) == at_the_start:
+            pass
+        backend.start("draw.1", source("draw", "image_units.py:draw"), None, None)
+        eventually(is_ready)
+        assert at_the_start in patience_s(told)
+        assert patience_s(told)[-1] == usual

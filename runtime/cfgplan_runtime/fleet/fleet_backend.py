@@ -99,7 +99,8 @@ class FleetBackend:
         for one in happened:
             self._take(one)
         gone = {one.host.name: one.cause for one in happened if isinstance(one, presence.AgentGone)}
-        absent = [host for host in hosts if host not in self._presence.there]
+        told = {event.host for event in self._events if isinstance(event, events.HostLost)}
+        absent = [host for host in hosts if host not in self._presence.there and host not in told]
         self._events += [events.HostLost(host, gone.get(host, _NO_AGENT)) for host in absent]
 
     @property

@@ -5,9 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import is_dataclass
 from functools import cache
 from hashlib import sha256
-from typing import Generic, Literal, NamedTuple, TypeAlias, TypeVar
+from inspect import signature
+from types import UnionType
+from typing import Any, Generic, Literal, NamedTuple, TypeAlias, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 
@@ -377,11 +380,33 @@ _EVENTS = {kind.__name__: kind for kind in events.Event.__subclasses__()}
 def digest_of_fields() -> str:
     """Return a digest of all messages and events, and of the names, types and defaults of their fields.
 
-    The two ends of a session compare it, since each drops fields that it does not know.
+    The two ends of a session compare it, since each drops fields that it does not know. The versions of Python and of
+    msgspec make no difference.
     """
-    _, kinds = msgspec.json.schema_components([Order, FromAgent, *_EVENTS.values()])
-    said = {name: {key: kind[key] for key in kind.keys() - {"description"}} for name, kind in kinds.items()}
+    said = dict[str, Any]()
+    for kind in (Order, FromAgent, *_EVENTS.values()):
+        _type_name(kind, said)
     return sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _type_name(kind: Any, said: dict[str, Any]) -> str:
+    """Return the name of a type, and note the fields of all classes in it by the names of these."""
+    parts = get_args(kind)
+    if get_origin(kind) is Literal:
+        return f"Literal{sorted(map(repr, parts))}"
+    if parts:
+        names = [_type_name(part, said) for part in parts]
+        is_union = get_origin(kind) in (Union, UnionType)
+        return " | ".join(sorted(names)) if is_union else f"{get_origin(kind).__name__}[{', '.join(names)}]"
+    name = str(getattr(kind, "__name__", kind))
+    has_fields = is_dataclass(kind) or hasattr(kind, "_fields") or hasattr(kind, "__struct_fields__")
+    if has_fields and name not in said:
+        said[name] = None  # a class may have fields of its own type
+        defaults = {key: str(field.default) for key, field in signature(kind).parameters.items()}
+        said[name] = [
+            (key, _type_name(of, said), defaults[key]) for key, of in get_type_hints(kind).items() if key in defaults
+        ]
+    return name
 
 
 def report_of(event: events.Event) -> EventReport:

@@ -144,6 +144,7 @@ class Nursery:
         if not isinstance(order, messages.OutletOrder):
             of_unit = order.order if isinstance(order, messages.SpareOrder) else order
             if not self._shared.has_numpy and imports_packages(of_unit.source, of_unit.folder):
+                self._control.send(messages.Alive(imports=True))
                 self._shared.add(NUMPY)
         if len(sockets) == _SOCKETS_OF_A_CHILD:
             try:
@@ -244,7 +245,7 @@ def imports_packages(source: str, folder: str) -> bool:
     for file in files:
         try:
             text = file.read_text(encoding="utf-8", errors="replace")
-        except OSError:
+        except (OSError, ValueError):  # a NUL is in no path
             return not place.endswith(".py")  # the unit reports that there is no such file
         for name in {*_imported(text)} - {*_OWN} - sys.stdlib_module_names:
             beside = next(
