@@ -132,7 +132,7 @@ def asks_what_if(options: argparse.Namespace) -> bool:
 
 
 def problem_words(options: argparse.Namespace) -> str:
-    """Return the file and the options that change the problem as text for a shell: commands that messages advise."""
+    """Return the file and the options that change the problem, quoted for a shell; messages advise commands with it."""
     words = [options.env]
     words += (f"--without={name}" for name in options.without)
     words += (f"--with={file}" for file in options.also)
