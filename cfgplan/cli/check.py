@@ -89,7 +89,7 @@ def _nothing_runs(options: argparse.Namespace, world: World, screen: Screen, *, 
         return Exit.OK
     for line in left_out_lines(world.environment):
         screen.show(line)
-    plans = f"`cfgplan solve {options.env}` plans what to start"
+    plans = f"`cfgplan solve {shared.problem_words(options)}` plans what to start"
     but, colour = ("", "green") if all_start else (", but the warnings say what to correct", "yellow")
     screen.show(_bold(world, f"the file is valid{but}. Nothing runs yet: {plans}", colour))
     if nothing := nothing_wanted(world.environment):

@@ -301,7 +301,8 @@ def _export_launch(options: argparse.Namespace, screen: Screen) -> Exit:
             problem = api.match(world)
             plan = api.load_plan(world, problem, options.plan)
     if plan.change_set is None:
-        screen.warn(f"there is no update to launch ({plan.status}): `cfgplan explain {options.env}` says why")
+        words = shared.problem_words(options)
+        screen.warn(f"there is no update to launch ({plan.status}): `cfgplan explain {words}` says why")
         return OF_STATUS[plan.status]
     about = [
         f"The configuration after the update of {Path(options.env).name} ({plan.status}), by cfgplan {__version__}.",

@@ -6,6 +6,7 @@ import argparse
 import json
 import os
 import re
+import shlex
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -15,6 +16,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from cfgplan.amounts import MICROSECONDS
 from cfgplan.canonical import normal
 from cfgplan.cli.screen import Screen, ShownWork, decided_by
 from cfgplan.errors import Fault, InvalidValueError
@@ -114,8 +116,8 @@ def add_what_if(parser: argparse.ArgumentParser, restriction: str | None = None)
     gone = "plan without this transformation, running unit or target; may be repeated"
     also = "plan with the transformations and targets of this file too; may be repeated"
     others = (
-        "plan with another value; KEY is horizon, max_cost, facts.NAME, T.labor, T.upkeep, T.pinned or T.required "
-        "for a transformation T, or T.priority for a target T; may be repeated"
+        "plan with another value; KEY is horizon, max_cost, facts.NAME, facts.HOST.NAME, T.labor, T.upkeep, T.pinned "
+        "or T.required for a transformation T, or T.priority for a target T; may be repeated"
     )
     observed = "replace declared facts and qualities by those in FILE, written by `cfgplan ctl observed --out FILE`"
     add_several(supposing, "--without", "NAME", gone, kind=normal)
@@ -127,6 +129,23 @@ def add_what_if(parser: argparse.ArgumentParser, restriction: str | None = None)
 def asks_what_if(options: argparse.Namespace) -> bool:
     """Whether an option of `add_what_if` is used."""
     return bool(options.without or options.also or options.settings or options.observed)
+
+
+def problem_words(options: argparse.Namespace) -> str:
+    """Return the file and the options that change the problem, quoted for a shell; messages advise commands with it."""
+    words = [options.env]
+    words += (f"--without={name}" for name in options.without)
+    words += (f"--with={file}" for file in options.also)
+    words += (f"--set={key}={value}" for key, value in options.settings)
+    max_cost_us = getattr(options, "max_cost", None)
+    values = {
+        "observed": options.observed,
+        "survive": getattr(options, "survive", None),
+        "horizon": getattr(options, "horizon", None),
+        "max-cost": None if max_cost_us is None else f"{Decimal(max_cost_us) / MICROSECONDS:f}",
+    }
+    words += (f"--{name}={value}" for name, value in values.items() if value is not None)
+    return " ".join(map(shlex.quote, words))
 
 
 def add_several(

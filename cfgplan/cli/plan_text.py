@@ -29,10 +29,13 @@ def update_text(problem: Problem, plan: Plan, given_up: Collection[str] = ()) ->
     return Text("\n").join([*changes, *_summary(problem, plan, given_up)])
 
 
-def left_out_lines(environment: Environment) -> list[str]:
-    """The transformations that the facts leave out, and those that facts of hosts bar from some, with the reasons."""
-    left_out = [f"left out for now: {label}, {why}" for label, why in environment.left_out.items()]
-    return [*left_out, *_barred_lines(environment)]
+def left_out_lines(environment: Environment, *, told: str = "") -> list[str]:
+    """Return lines that name the transformations that facts leave out, and those that facts of hosts bar from some.
+
+    A transformation is left out of these if `told`, the text shown before, has it with its reason.
+    """
+    forms = [(f"left out for now: {label}, {why}", f"{label} ({why})") for label, why in environment.left_out.items()]
+    return [*(line for line, short in forms if not (line in told or short in told)), *_barred_lines(environment)]
 
 
 def _barred_lines(environment: Environment, of: str | None = None) -> list[str]:
@@ -50,17 +53,17 @@ def plain_barred(environment: Environment) -> dict[str, dict[str, str]]:
     return {label: dict(hosts) for label, hosts in environment.barred.items()}
 
 
-def fact_lines(environment: Environment, of: str | None = None) -> list[str]:
+def fact_lines(environment: Environment, of: str | None = None, *, told: str = "") -> list[str]:
     """Return the effects of facts on the library: transformations that may not run, and qualities that follow facts.
 
-    `of` is a transformation or a unit; None stands for all.
+    `of` is a transformation or a unit; None stands for all. `told` is the text shown before, as for `left_out_lines`.
     """
     label = of if of is None or of not in environment.unit else environment.unit[of].transformation
     now = environment.qualities_now.items()
     of_quality = [f"for now: {what} {value}" for what, value in now if label is None or what.startswith(f"{label}/")]
     if label is not None:
         return [*_barred_lines(environment, label), *of_quality]
-    return [*left_out_lines(environment), *of_quality]
+    return [*left_out_lines(environment, told=told), *of_quality]
 
 
 def changes_text(before: Environment, changes: ChangeSet) -> Text:

@@ -121,7 +121,7 @@ def _solve(options: argparse.Namespace, screen: Screen, task: shared.Task) -> Ex
             )
         elif not is_proven:
             screen.warn("time ran out before it was proven that no better set of targets can be met")
-        for line in left_out_lines(world.environment):
+        for line in left_out_lines(world.environment, told=" ".join(plan.reasons.values())):
             screen.note(line)
         for warning in double_owners(problem.after(plan)) if plan.change_set is not None else ():
             screen.warn(warning)
@@ -134,7 +134,7 @@ def _solve(options: argparse.Namespace, screen: Screen, task: shared.Task) -> Ex
         if options.out:
             screen.note(f"Wrote {options.out}.")
         if plan.status in REFUSED:
-            screen.note(f"`cfgplan explain {options.env}` says more about the reasons.")
+            screen.note(f"`cfgplan explain {shared.problem_words(options)}` says more about the reasons.")
     code = exit_of(plan.status, is_exact=is_proven, is_unmet=bool(given_up))
     return Exit.CHANGES if code is Exit.OK and options.detailed_exitcode and plan.change_set else code
 

@@ -81,8 +81,9 @@ def _with_setting(supposed: Supposed, key: str, value: str) -> Supposed:
         known(fact, environment.variable, "fact")
         return replace(supposed, environment=environment.with_facts({fact: environment.variable[fact].read(value)}))
     if name not in _SETTINGS:
-        settable = ", ".join(f"T.{each}" for each in _SETTINGS)
-        raise InputError.of(f"{key!r} can't be set", mend=f"set horizon, max_cost, facts.NAME, {settable}")
+        keys = ["horizon", "max_cost", "facts.NAME", "facts.HOST.NAME", *(f"T.{each}" for each in _SETTINGS)]
+        mend = f"write facts.{key}={value}" if key in environment.variable else f"set {', '.join(keys)}"
+        raise InputError.of(f"{key!r} can't be set", mend=mend)
     attribute, read = _SETTINGS[name]
     if name == "priority":
         known(label, environment.target, "target")

@@ -75,7 +75,7 @@ def test_explain_names_the_bound_that_no_wiring_meets(run: Run, tmp_path: Path) 
     path.write_text(text)
     result = run("explain", path)
     assert result.code == 10
-    assert "asks for error of at most 0.1, but the best that any wiring reaches is 0.18" in result.out
+    assert "asks for error of at most 0.1 m, but the best that any wiring reaches is 0.18 m" in result.out
 
 
 GPUS = """\

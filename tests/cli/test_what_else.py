@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 
@@ -149,14 +150,37 @@ def test_each_command_names_the_fact_that_keeps_a_target_from_being_met(run: Run
     env = write(NIGHT)
     dark = (env, "--set", "facts.night=true")
     unmet = "target i wants Image, but needs transformations that are left out for now: eye (night is true)"
-    assert unmet in run("solve", *dark).out
+    solved = run("solve", *dark)
+    assert unmet in solved.out
+    assert "night is true" not in solved.err.replace("facts.night=true", ""), "no reason is told twice"
     assert run("solve", *dark, "--json").document["reasons"] == {"i": unmet}
     explained = run("explain", *dark).out
     assert "target i wants Image, but no transformation that offers it can run" in explained
     assert "    left out for now: eye, night is true" in explained
     assert "no output matches" not in explained
+    assert explained.count("night is true") == 1, "no reason is told twice"
     assert unmet in run("compare", *dark, "--planner", "cpsat", "--planner", "branch-and-bound", "--json").out
     assert "left out for now: eye, night is true" in run("sensitivity", *dark).err
+
+
+def test_commands_that_are_advised_have_the_options_that_change_the_problem(
+    run: Run, write: Callable[[str], Path], tmp_path: Path
+) -> None:
+    env, more = write(NIGHT), tmp_path / "more of it.yaml"
+    more.write_text("format: cfgplan/1\ntransformations: [{label: lamp, outputs: {light: Light}}]\n")
+    supposed = ("--without=lamp", f"--with={more}", "--set=facts.night=true")
+    limits = ("--survive=0", "--horizon=60", "--max-cost=1.5")
+    words = shlex.join([str(env), *supposed, *limits])
+    assert f"`cfgplan explain {words}` says more about the reasons" in run("solve", env, *limits, *supposed).err
+    launch = run("export", "launch", env, *supposed).err
+    assert f"`cfgplan explain {shlex.join([str(env), *supposed])}` says why" in launch
+    nothing = write("transformations: [{label: a, outputs: {o: A}}]\ntargets: [{label: t, topic: /t, tag: A}]\n")
+    found = run("check", nothing, "--set", "a.labor=2").out
+    assert f"`cfgplan solve {nothing} --set=a.labor=2` plans what to start" in found
+
+
+def test_a_fact_that_is_set_without_its_prefix_is_answered_with_it(run: Run, write: Callable[[str], Path]) -> None:
+    assert "write facts.night=true" in run("solve", write(NIGHT), "--set", "night=true").err
 
 
 def test_export_launch_plans_with_what_if_options(run: Run, write: Callable[[str], Path]) -> None:

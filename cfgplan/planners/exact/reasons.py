@@ -11,7 +11,7 @@ from cfgplan.planners.exact.best_case import least_badness
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.rules import host_loads
 from cfgplan.planning import Failures, Feature, Problem
-from cfgplan.qualities import is_met, units
+from cfgplan.qualities import is_met
 from cfgplan.reasons import Providers, startable
 
 
@@ -40,7 +40,7 @@ def _missed_bound(candidates: Candidates, target: Target) -> str | None:
         if found and wish.bound is not None and not is_met(attribute, wish, reached := attribute.at(min(found))):
             return (
                 f"target {target.label} asks for {attribute.name} of {'at most' if attribute.sign > 0 else 'at least'} "
-                f"{units(wish.bound):f}, but the best that any wiring reaches is {units(reached):f}"
+                f"{attribute.shown(wish.bound)}, but the best that any wiring reaches is {attribute.shown(reached)}"
             )
     return None
 
