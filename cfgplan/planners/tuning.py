@@ -130,7 +130,9 @@ class Close:
         0.25, "share", "From `many` labels on, those of good plans come first if they are fewer.", LIBRARIES
     )
     likely: int = row(12, "linear programs", "So many among these come before the next one of all.", LIBRARIES)
-    far_times: int = row(4, "times", "So often with fewer labels if the gap is that large.", LIBRARIES)
+    far_times: int = row(
+        4, "times", "So often with fewer labels if the gap is that large, or if targets are replanned next.", LIBRARIES
+    )
     entries: int = row(3, "entries/link", "The first linear program has about this many.", TIMED)
     trust: float = row(0.8, "share", "Repairs reckon labels cheaper by this part of their fraction.", LIBRARIES)
     need: float = row(16.0, "steps/need", "The work for a round: for each need.", TIMED)
