@@ -130,7 +130,12 @@ class Close:
         0.25, "share", "From `many` labels on, labels of good plans come first if their share is less.", LIBRARIES
     )
     likely: int = row(12, "linear programs", "This many over these labels precede the next over all.", LIBRARIES)
-    far_times: int = row(4, "times", "As `times`, with fewer than `many` labels and a gap above `far`.", LIBRARIES)
+    far_times: int = row(
+        4,
+        "times",
+        "As `times`, if targets are replanned next, or with fewer than `many` labels and a gap above `far`.",
+        LIBRARIES,
+    )
     entries: int = row(3, "entries/link", "The first linear program has about this many.", TIMED)
     trust: float = row(0.8, "share", "Repairs reckon labels cheaper by this part of their fraction.", LIBRARIES)
     need: float = row(16.0, "steps/need", "The work for a round: for each need.", TIMED)

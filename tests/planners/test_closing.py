@@ -168,6 +168,25 @@ def test_closing_goes_on_if_the_time_left_is_too_short_for_the_solver_and_no_tar
     assert values[0] == values[2] < values[1]
 
 
+@pytest.mark.parametrize(
+    ("many", "hopeless", "goes_on", "times"), [(0, 0.0, False, 4), (10_000, 0.0, True, 16), (0, 1.1, True, 16)]
+)
+def test_more_repairs_and_cuts_are_left_out_where_targets_are_replanned_next_for_most_of_the_time(
+    many: int, hopeless: float, goes_on: bool, times: int
+) -> None:
+    near = Near(targets=1, gap=0.0, many=many, hopeless=hopeless)
+    tuning = Tuning(close=Close(many=0, part=0.0, rounds=1, fewest_rounds=1, pace=0.0, work=1e3), near=near)
+    both = first_closing(random_library(5, transformations=300, targets=12), tuning=tuning)
+    with (
+        mock.patch.object(Repairs, "attempt", autospec=True, side_effect=Repairs.attempt) as attempt,
+        mock.patch.object(Separator, "missed", autospec=True, side_effect=Separator.missed) as missed,
+    ):
+        both.go_on(Clock())
+    assert (attempt.call_count > 1) == goes_on
+    assert missed.call_count > 1
+    assert {call.args[3] for call in missed.call_args_list} == {times}
+
+
 @fewer
 @given(problems(special=False))
 def test_related_targets_planned_anew_make_a_plan_no_dearer_and_leave_it_a_plan(problem: Problem) -> None:

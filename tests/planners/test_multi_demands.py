@@ -20,6 +20,7 @@ from cfgplan.planners.closing.separation import Separator
 from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.networks.greedy import first_plan, is_plan
 from cfgplan.planners.solving.clock import Clock
+from cfgplan.planners.tuning import Close
 from cfgplan.planning import Problem, Status
 from cfgplan.reasons import startable
 from experiments.families.nao import nao
@@ -105,7 +106,7 @@ def test_the_first_plan_feeds_distinct_inputs_and_closing_keeps_both_sides(probl
     plan = first_plan(stage.network, stage.cost, 5, Clock())
     assert plan is not None
     assert plan in list(plans(stage, problem))
-    both = closing(stage)
+    both = closing(stage, Close(work=1e3))
     both.go_on(Clock())
     assert both.bound.value <= (stage.plan.cost_us or 0) <= both.limit
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
@@ -89,3 +91,16 @@ def test_a_nursery_that_imports_numpy_for_a_unit_may_be_silent_for_as_long_as_at
         eventually(is_ready)
         assert at_the_start in patience_s(told)
         assert patience_s(told)[-1] == usual
+
+
+def test_a_numpy_that_can_not_be_imported_is_tried_once() -> None:
+    code = (
+        "import sys; sys.modules['numpy'] = None\n"
+        "from cfgplan_runtime.processes.nursery import NUMPY, Shared\n"
+        "shared = Shared(())\n"
+        "before = shared.lacks_numpy\n"
+        "shared.add(NUMPY)\n"
+        "print(before, shared.lacks_numpy)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "True False\n"

@@ -69,7 +69,10 @@ class GapClosing:
         return self._is_far or not (self._is_near_next or clock.has_steps(self._solving * self._left**1.5))
 
     def go_on(self, clock: Clock) -> None:
-        """Raise the bound and look for a cheaper plan until they meet or hardly move, or the work is used up."""
+        """Raise the bound and look for a cheaper plan until they meet or hardly move, or the work is used up.
+
+        After the first linear program, cheaper plans are left to `look_near` if that gets most of the time.
+        """
         own = self._tuning
         took = self._begin(clock)
         steps = own.work * self._left**1.5
@@ -80,7 +83,8 @@ class GapClosing:
             before = self.bound.value
             rounds = min(own.rounds, max(own.fewest_rounds, own.round_labels // self.bound.core.goal))
             these = self._round(steps, rounds, clock)
-            self._repair(own.repairs * these, clock)
+            if not self._is_left_to_neighbourhoods:
+                self._repair(own.repairs * these, clock)
             least = 0.0 if is_patient else own.pace / own.rounds * rounds * (self.limit - before)
             if self.bound.value - before <= least:
                 break
@@ -143,6 +147,13 @@ class GapClosing:
         return is_plain and len(core.needs[core.goal]) >= self._near.targets and self._gap >= self._near.gap
 
     @property
+    def _is_left_to_neighbourhoods(self) -> bool:
+        """Whether related targets are replanned next, for most of the time: they soon give cheaper plans than repairs,
+        and gain less from a higher bound.
+        """
+        return self._is_near_next and self._is_hopeless
+
+    @property
     def _gap(self) -> float:
         """The gap between bound and plan, as a share of the plan's cost."""
         return 1 - self.bound.value / max(1, self.limit)
@@ -189,8 +200,9 @@ class GapClosing:
         """Raise the bound by up to `most` linear programs. Returns about how many steps they took."""
         own, took = self._tuning, 0.0
         program, landmarks, separator = self._restricted()
-        times = own.times if self.bound.core.goal >= own.many else own.far_times if self._is_far else 1
-        is_large = self.bound.core.goal >= own.many and self._network.core.multi_facts is None
+        has_many, is_next = self.bound.core.goal >= own.many, self._is_left_to_neighbourhoods
+        times = own.times if has_many and not is_next else own.far_times if has_many or self._is_far else 1
+        is_large = has_many and self._network.core.multi_facts is None
         for _ in range(most):
             fractions = program.solve(clock.left_s())
             if fractions is None or clock.is_over():

@@ -70,14 +70,17 @@ class Shared:
 
     def __init__(self, modules: Sequence[str]) -> None:
         self._taken: list[bytes] = []
+        self._tried: set[str] = set()
         self.add(modules)
 
     @property
-    def has_numpy(self) -> bool:
-        return sys.modules.keys() >= {*NUMPY}
+    def lacks_numpy(self) -> bool:
+        """Whether numpy is still to be imported. It is tried once: it may be absent or broken."""
+        return not {*NUMPY} <= self._tried | sys.modules.keys()
 
     def add(self, modules: Sequence[str]) -> None:
         """Import more modules for later children."""
+        self._tried |= {*modules}
         for name in modules:
             with contextlib.suppress(Exception):  # the units that import it will report what is wrong
                 importlib.import_module(name)
@@ -143,7 +146,7 @@ class Nursery:
         cause, pid = NO_DESCRIPTOR, -1
         if not isinstance(order, messages.OutletOrder):
             of_unit = order.order if isinstance(order, messages.SpareOrder) else order
-            if not self._shared.has_numpy and imports_packages(of_unit.source, of_unit.folder):
+            if self._shared.lacks_numpy and imports_packages(of_unit.source, of_unit.folder):
                 self._control.send(messages.Alive(imports=True))
                 self._shared.add(NUMPY)
         if len(sockets) == _SOCKETS_OF_A_CHILD:
