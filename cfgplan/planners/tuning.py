@@ -55,6 +55,7 @@ class Decide:
     choices: int = row(
         100, "facts", "Not if more facts than this have more providers than they take.", "NAO; random libraries"
     )
+    fewest: int = row(20, "labels", "With fewer labels it is not asked: its import takes longer than bounds.", SHARED)
     parts: int = row(120, "parts", "The solver chooses among at most this many that share labels.", SHARED)
     contracted: float = row(0.5, "share of the labels", "It also chooses among more, up to this share.", SHARED)
     choosing: float = row(0.03, "the engine's s", "It may take this long.", SHARED)

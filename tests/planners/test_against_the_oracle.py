@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from alone import plan_alone
 from hypothesis import given
@@ -36,12 +38,18 @@ def quality(plan: Plan) -> tuple[object, ...]:
     )
 
 
+CHOOSING = replace(USUAL, decide=replace(USUAL.decide, fewest=0))
+
+
 def agree(problem: Problem) -> None:
-    """The planner, without a search of its own, and the solver alone are as good as the oracle."""
+    """The planner, without a search of its own, with the solver's choice among few parts, and the solver alone are as
+    good as the oracle.
+    """
     oracle = oracle_of(problem)
     assert plan_violations(problem, oracle) == []
     alone = plan_alone(problem)
-    for exact in (PLANNERS["cpsat"](problem), PlannerSession(USUAL.without_search()).plan(problem), alone):
+    others = (PlannerSession(tuning).plan(problem) for tuning in (USUAL.without_search(), CHOOSING))
+    for exact in (PLANNERS["cpsat"](problem), *others, alone):
         assert plan_violations(problem, exact) == []
         assert quality(exact) == quality(oracle)
     assert alone.change_set is None or alone.counts["rounds"] > 0

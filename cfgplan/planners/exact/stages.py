@@ -87,7 +87,8 @@ def prove_by_parts(work: SolveRun) -> bool:
         return False
     value, plan = disjoint_bound(core, weights.each, network.pinned, work.clock.each)
     if weights.of_plan(plan) > weights.least(value) or not is_plan(network, plan):
-        chosen = cheapest_choice(core, weights.each, network.pinned, work.clock)
+        is_asked = core.goal >= tuning.fewest
+        chosen = cheapest_choice(core, weights.each, network.pinned, work.clock) if is_asked else None
         if chosen is None or not is_plan(network, chosen):
             return False
         value, plan = weights.of_plan(chosen), chosen
