@@ -129,8 +129,8 @@ def _show_why_not(problem: Problem, why: WhyNot, screen: Screen, environment: En
     text = why_not_text(problem, why)
     if text:
         screen.show(text)
-    for line in fact_lines(environment, told=text.plain):
-        screen.show(line)
+    for told_of_fact in fact_lines(environment, told=text.plain):
+        screen.show(told_of_fact)
 
 
 def _subjects(options: argparse.Namespace, problem: Problem, plan: Plan) -> list[tuple[Subject, str]]:
