@@ -19,9 +19,11 @@ if TYPE_CHECKING:
 
 COLOURS = ("#0072b2", "#d55e00", "#e69f00", "#999999", "#009e73", "#56b4e9", "#cc79a7", "#000000", "#8c564b", "#bcbd22")
 """Okabe and Ito's palette first: distinct for colour-blind eyes."""
-MARKERS = "os^vDPX*<>"
-LINES = ((), (1, 1), (), (5, 2), (), (5, 2), (6, 2, 1, 2), (2, 2))
-"""Dashes, so that curves that coincide can be told apart."""
+MARKERS = "os^vDPX*<>p"
+LINES = ((), (1, 1), (5, 2), (6, 2, 1, 2), (2, 2), (9, 2), (4, 1, 1, 1))
+"""Dashes, so that curves that coincide can be told apart. There are fewer than colours, and the two numbers have no
+divisor in common: as many planners as both together have different curves.
+"""
 LEAST_GAP = 1e-3
 
 
@@ -64,7 +66,7 @@ def scaling(rows: Sequence[Row], everyone: Sequence[Row]) -> Figure | None:
         return None
     figure, axes = _grid(len(panels), 3)
     for axis, ((title, name), points) in zip(axes, sorted(panels.items()), strict=False):
-        for planner, style in _styles(everyone).items():
+        for planner, style in styles(everyone).items():
             xs = sorted({x for x, row in points if row.planner == planner})
             at = {x: [row for value, row in points if (value, row.planner) == (x, planner)] for x in xs}
             times = {
@@ -105,7 +107,7 @@ def gap_profile(rows: Sequence[Row]) -> Figure | None:
     if not reference:
         return None
     figure, axis = plt.subplots(figsize=(7.5, 4.8), layout="constrained")
-    for planner, style in _styles(rows).items():
+    for planner, style in styles(rows).items():
         tried = _tried(rows, planner)
         gaps = sorted(g for row in tried if (g := gap(row, reference)) is not None)
         if tried:
@@ -135,7 +137,7 @@ def performance_profile(rows: Sequence[Row]) -> Figure | None:
     if not counted:
         return None
     figure, axis = plt.subplots(figsize=(7.5, 4.8), layout="constrained")
-    for planner, style in _styles(rows).items():
+    for planner, style in styles(rows).items():
         ratios = sorted(
             max(SHORTEST_PROOF_S, row.proof_s) / best
             for group, best in zip(groups, fastest, strict=True)
@@ -224,7 +226,7 @@ def _hardest(rows: Sequence[Row], most: int = 6) -> list[tuple[str, int, list[Ro
 def _steps(axis: Axes, row: Row, points: list[tuple[float, float]], rows: Sequence[Row]) -> None:
     """A row's curve, carried on to the time limit; the later ones are thinner, so that they hide none below them."""
     if points:
-        style = _styles(rows)[row.planner]
+        style = styles(rows)[row.planner]
         points = sorted(points)
         xs = [*(x for x, _ in points), max(row.time_limit_s, points[-1][0])]
         ys = [*(y for _, y in points), points[-1][1]]
@@ -260,7 +262,8 @@ class Style(NamedTuple):
     width: float
 
 
-def _styles(rows: Sequence[Row]) -> dict[str, Style]:
+def styles(rows: Sequence[Row]) -> dict[str, Style]:
+    """The style of each planner of the rows, another one for each."""
     names = planners(rows)
     return {
         planner: Style(
@@ -296,7 +299,7 @@ def _with_legend(figure: Figure, rows: Sequence[Row]) -> Figure:
 
     handles = [
         Line2D([], [], color=style.color, marker=style.marker, linestyle=style.line, markersize=5, label=planner)
-        for planner, style in _styles(rows).items()
+        for planner, style in styles(rows).items()
     ]
     figure.legend(handles=handles, loc="outside upper center", ncols=5, fontsize=8, frameon=False)
     return figure

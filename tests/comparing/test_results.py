@@ -11,7 +11,7 @@ from cfgplan.comparing import REGISTERED, Limits, RunFailure
 from cfgplan.comparing.runs import thinned
 from cfgplan.planning import Status
 from experiments.study.invariants import breaches, gap, references
-from experiments.study.plots import anytime
+from experiments.study.plots import anytime, styles
 from experiments.study.report import by_family, detail, effort, overview, ratio_to, write_report
 from experiments.study.rows import Row
 from experiments.study.runner import run
@@ -129,3 +129,9 @@ def test_a_report_has_tables_and_plots(tiny_rows: list[Row], tmp_path: Path) -> 
 def test_the_instances_of_a_suite_have_names_of_their_own(suite: str) -> None:
     names = [instance.name for instance in SUITES[suite]()]
     assert len(set(names)) == len(names)
+
+
+def test_each_of_many_planners_has_a_curve_and_a_mark_of_its_own() -> None:
+    given = styles([row(f"planner {number:02}", 1) for number in range(30)]).values()
+    assert len({(style.color, style.line[1]) for style in given}) == 30
+    assert len({(style.color, style.marker) for style in given}) == 30
