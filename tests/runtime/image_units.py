@@ -1,4 +1,4 @@
-"""Unit code with numpy, for the tests of the runtime: a nursery imports numpy for it, and not for `running_units`."""
+"""Unit code with numpy, for the tests of the runtime."""
 
 from __future__ import annotations
 

@@ -436,9 +436,7 @@ class NotForked(msgspec.Struct, tag=True):
 
 
 class Alive(msgspec.Struct, tag=True):
-    """A sign of life of the nursery. If it `imports` modules next, the following sign may come as late as its first."""
-
-    imports: bool = False
+    """A sign of life of the nursery."""
 
 
 FromNursery: TypeAlias = Forked | Gone | NotForked | Alive

@@ -31,7 +31,6 @@ from cfgplan_runtime.fleet.tunnels import TunnelServer
 from cfgplan_runtime.fleet.twins import Twins
 from cfgplan_runtime.fleet.ways import RouteWatch, alive_key, reach
 from cfgplan_runtime.processes.cpu_group import CpuGroup
-from cfgplan_runtime.processes.nursery import NUMPY
 from cfgplan_runtime.processes.process_backend import RELAY, ProcessBackend
 from cfgplan_runtime.streams.crossing import crossing_key
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
@@ -119,8 +118,7 @@ class Agent:
         given = config(listen, connect, certificates)
         self._validity = None if certificates is None else Validity(certificates, name)
         with ExitStack() as stack:
-            # If another host fails, its units may start here, and should not wait for the import of numpy.
-            self._backend = ProcessBackend(folder=folder, preload=(*NUMPY, *preload), base=base, cpu=cpu)
+            self._backend = ProcessBackend(folder=folder, preload=preload, base=base, cpu=cpu)
             stack.callback(self._backend.close)
             self._link = ZenohLink(given)
             stack.callback(self._link.close)

@@ -1,4 +1,4 @@
-"""The process that forks the children. It has imported the modules that they need, so that a child is ready at once.
+"""The process that forks the children. It has imported all modules before, so that a child is ready at once.
 
 However the supervisor ends, the nursery ends too, and kills all children and their descendants. If a child ends, its
 descendants are killed.
@@ -15,7 +15,6 @@ import io
 import logging
 import os
 import random
-import re
 import resource
 import selectors
 import signal
@@ -24,15 +23,13 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 
 from setproctitle import setproctitle
 
 from cfgplan_runtime.children import messages
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.outlet_child import NO_DESCRIPTOR, OutletChild
-from cfgplan_runtime.children.program_source import names_program
 from cfgplan_runtime.children.rehearsal import fill_gaps, rehearse
 from cfgplan_runtime.children.unit_child import UnitChild
 from cfgplan_runtime.children.unit_code import UNIT_VARIABLE
@@ -49,8 +46,6 @@ from cfgplan_runtime.processes.descendants import (
 )
 from cfgplan_runtime.processes.guard import post_guard
 
-NUMPY = ("numpy", "numpy.random")
-"""Imported for all children before the first that may need it: numpy takes longer to import than a nursery to start."""
 DUMP_SIGNAL = signal.SIGUSR1
 INTERRUPT_SIGNAL = signal.SIGUSR2
 """The signal that raises SystemExit in a unit's code, wherever it is."""
@@ -59,41 +54,14 @@ FAILED = 70
 
 _CALLED_AFTER_FORK = (threading, "_after_fork"), (logging, "_after_at_fork_child_reinit_locks")
 """Functions of the standard library that `os.fork` calls in a child."""
-_OWN = ("cfgplan", "cfgplan_runtime")
-_IMPORT = re.compile(r"^[^\S\n]*(?:from\s+([\w.]+)\s+import\b|import\s+([\w. ,]+))", re.MULTILINE)
 _SIGN_PERIOD_S = 1.0
 _SOCKETS_OF_A_CHILD = 2
-
-
-class Shared:
-    """Imported modules that the children share with the nursery, in pages of memory that no child has to copy."""
-
-    def __init__(self, modules: Sequence[str]) -> None:
-        self._taken: list[bytes] = []
-        self._tried: set[str] = set()
-        self.add(modules)
-
-    @property
-    def lacks_numpy(self) -> bool:
-        """Whether numpy is still to be imported. It is tried once: it may be absent or broken."""
-        return not {*NUMPY} <= self._tried | sys.modules.keys()
-
-    def add(self, modules: Sequence[str]) -> None:
-        """Import more modules for later children."""
-        self._tried |= {*modules}
-        for name in modules:
-            with contextlib.suppress(Exception):  # the units that import it will report what is wrong
-                importlib.import_module(name)
-        rehearse(_rehearse_fork)
-        self._taken += fill_gaps()
-        gc.freeze()
 
 
 class Nursery:
     """Forks children on request and reports the end of each."""
 
-    def __init__(self, end: socket.socket, run: str, shared: Shared) -> None:
-        self._shared = shared
+    def __init__(self, end: socket.socket, run: str) -> None:
         self._run, self._mark = run, mark_of(run, os.getpid())
         self._guard = post_guard(run, self._mark)
         """The descriptor whose end the guard waits for."""
@@ -144,11 +112,6 @@ class Nursery:
     def _fork(self, serial: int, order: messages.ChildOrder, sockets: list[socket.socket]) -> None:
         parent = os.getpid()
         cause, pid = NO_DESCRIPTOR, -1
-        if not isinstance(order, messages.OutletOrder):
-            of_unit = order.order if isinstance(order, messages.SpareOrder) else order
-            if self._shared.lacks_numpy and imports_packages(of_unit.source, of_unit.folder):
-                self._control.send(messages.Alive(imports=True))
-                self._shared.add(NUMPY)
         if len(sockets) == _SOCKETS_OF_A_CHILD:
             try:
                 pid = os.fork()
@@ -231,41 +194,6 @@ class Nursery:
                 serial = serial_of(pid, self._mark)
                 if serial is not None and serial not in living:
                     kill_group(pid)
-
-
-def imports_packages(source: str, folder: str) -> bool:
-    """Whether unit code imports an installed package, which may import numpy.
-
-    This looks for imports in the text of the source's file and of the files beside it that it imports.
-    """
-    if names_program(source):
-        return False
-    place = source.rpartition(":")[0]
-    if place.partition(".")[0] in _OWN:
-        return False
-    first = Path(folder, place if place.endswith(".py") else f"{place.replace('.', '/')}.py")
-    files = [first]
-    for file in files:
-        try:
-            text = file.read_text(encoding="utf-8", errors="replace")
-        except (OSError, ValueError):  # a NUL is in no path
-            return not place.endswith(".py")  # the unit reports that there is no such file
-        for name in {*_imported(text)} - {*_OWN} - sys.stdlib_module_names:
-            beside = next(
-                (path for near in (first.parent, folder) if (path := Path(near, f"{name}.py")).is_file()), None
-            )
-            if beside is None:
-                return True
-            if beside not in files:
-                files.append(beside)
-    return False
-
-
-def _imported(text: str) -> Iterator[str]:
-    """Yield the top-level names of the modules that a Python file imports."""
-    for of_names, listed in _IMPORT.findall(text):
-        for name in [of_names] if of_names else listed.split(","):
-            yield name.strip().partition(".")[0].partition(" ")[0]
 
 
 def be_child(order: messages.ChildOrder, control_end: socket.socket, printed: socket.socket, *, run: str) -> int:
@@ -380,7 +308,13 @@ def main(arguments: Sequence[str]) -> None:
     die_with_parent(int(parent))
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _open_output()
-    Nursery(socket.socket(fileno=int(number)), run, Shared(preload)).run()
+    for name in preload:
+        with contextlib.suppress(Exception):  # the units that import it will report what is wrong
+            importlib.import_module(name)
+    rehearse(_rehearse_fork)
+    _taken = fill_gaps()
+    gc.freeze()
+    Nursery(socket.socket(fileno=int(number)), run).run()
 
 
 _PR_SET_PDEATHSIG = 1

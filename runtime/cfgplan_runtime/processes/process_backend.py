@@ -44,7 +44,7 @@ OUTLETS_HELPER, NURSERY_HELPER = "outlets", "nursery"
 HELPER_S = 10.0
 """Seconds that a helper may be silent."""
 _HELPER_START_S = 60.0
-"""Seconds until the next sign of life of a helper that imports modules, as the nursery does first."""
+"""Seconds until the first sign of life: the nursery imports modules first."""
 _OUTLET_QUEUE = 1024
 _SPARES_LOOK_S = 1.0
 """Seconds between two checks for spares that hang or whose code has changed."""
@@ -97,7 +97,7 @@ class ProcessBackend:
         self._ahead_ns = 0
         """The difference of this computer's clock from the run's, on which elements have their times."""
         self.run_folder.tell_clock(self.clock_offset_ns)
-        self._nursery = NurseryLink(self.run_folder.id, preload)
+        self._nursery = NurseryLink(self.run_folder.id, ("numpy", "numpy.random", *preload))
         self._nursery_socket: socket.socket | None = None
         self._outlets_lost = 0
         """The number of losses of the outlets in a row."""
@@ -398,10 +398,8 @@ class ProcessBackend:
         return child
 
     def _hear_nursery(self) -> None:
-        heard = list(self._nursery.hear())
-        imports = bool(heard) and isinstance(heard[-1], messages.Alive) and heard[-1].imports
-        self._events.append(events.HelperAlive(NURSERY_HELPER, _HELPER_START_S if imports else HELPER_S))
-        for message in heard:
+        self._events.append(events.HelperAlive(NURSERY_HELPER, HELPER_S))
+        for message in self._nursery.hear():
             child = None if isinstance(message, messages.Alive) else self._children.get(message.serial)
             match message:
                 case messages.Forked(_, pid) if child is not None:
