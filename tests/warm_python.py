@@ -1,8 +1,8 @@
 """`python -c CODE` as a fork of a process that has imported the modules that the code needs, for nurseries and agents.
 
 The fork is a child of the process that asks for it, as a started Python is: it has its parent's death signal, process
-group, session, streams, environment and folder. Tests of processes see only that its imports take no CPU time. The
-processes that tests start as programs of their own start nurseries and agents as users do.
+group, session, streams, environment and folder. Its imports take no CPU time. It has the limits and the hash
+seed of the process that forks it. Programs that tests start by themselves start nurseries and agents as users do.
 """
 
 from __future__ import annotations

@@ -24,12 +24,6 @@ def count() -> Iterator[int]:
         number += 1
 
 
-def has_numpy() -> Iterator[int]:
-    """Prints whether this process has imported numpy."""
-    sys.stdout.write(f"{'numpy' in sys.modules}\n")
-    yield 0
-
-
 VARIOUS: list[Any] = [
     *(1, -1, 127, 128, -128, 70_000, -70_000, 1 << 40, 0.5, True, False, "", "x" * 40, "ü" * 300, b"bytes" * 20),
     *([], list(range(20)), {}, {"a": [{"b": 1.5}]}, {str(n): n for n in range(20)}, "x" * 70_000, list(range(70_000))),
