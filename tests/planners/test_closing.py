@@ -28,8 +28,8 @@ from cfgplan.planners.networks.core import Core, Rows
 from cfgplan.planners.networks.greedy import first_plan, is_plan
 from cfgplan.planners.networks.network import costs
 from cfgplan.planners.solving.clock import Clock
-from cfgplan.planners.tuning import Close, Near, Rise, Tuning
-from cfgplan.planning import Problem, Status
+from cfgplan.planners.tuning import Close, Decide, Near, Rise, Tuning
+from cfgplan.planning import Problem, Progress, Status
 from cfgplan.validity import plan_violations
 from experiments.families.random_library import random_library
 
@@ -305,3 +305,24 @@ def test_landmarks_are_looked_for_until_none_is_missed_and_raise_the_bound() -> 
     fractions = program.solve(None)
     assert fractions is not None
     assert both.is_closed or not separator.missed(fractions, np.random.default_rng(1), everywhere=True)
+
+
+@pytest.mark.parametrize("stage", ["go_on", "look_near"])
+def test_cheaper_plans_and_higher_bounds_are_told_while_the_gap_is_being_closed(stage: str) -> None:
+    problem = random_library(5, transformations=300, targets=12)
+    told, is_inside, real = list[Progress](), False, getattr(GapClosing, stage)
+
+    def watched(self: GapClosing, *given: object) -> None:
+        nonlocal is_inside
+        is_inside = True
+        real(self, *given)
+        is_inside = False
+
+    session = PlannerSession(Tuning(decide=Decide(labels=0), near=EVERYWHERE))
+    with mock.patch.object(GapClosing, stage, watched):
+        found = session.plan(problem, report=lambda progress: told.append(progress) if is_inside else None)
+    assert found.cost_us is not None
+    costs, bounds = [one.cost_us or 0 for one in told], [one.bound_us for one in told]
+    assert costs == sorted(costs, reverse=True) and bounds == sorted(bounds)
+    assert bounds[-1] <= found.cost_us <= costs[-1]
+    assert len({*zip(costs, bounds, strict=True)}) == len(told) > 1

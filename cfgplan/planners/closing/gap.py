@@ -68,13 +68,15 @@ class GapClosing:
         """
         return self._is_far or not (self._is_near_next or clock.has_steps(self._solving * self._left**1.5))
 
-    def go_on(self, clock: Clock) -> None:
+    def go_on(self, clock: Clock, tell: Callable[[], None] = lambda: None) -> None:
         """Raise the bound and look for a cheaper plan until they meet or hardly move, or the work is used up.
 
-        After the first linear program, cheaper plans are left to `look_near` if that gets most of the time.
+        After the first linear program, cheaper plans are left to `look_near` if that gets most of the time. Calls
+        `tell` after each round.
         """
         own = self._tuning
         took = self._begin(clock)
+        tell()
         steps = own.work * self._left**1.5
         while not self.is_closed and self._can_be_built(clock):
             is_patient = self._is_beyond_the_solver(clock)
@@ -85,17 +87,18 @@ class GapClosing:
             these = self._round(steps, rounds, clock)
             if not self._is_left_to_neighbourhoods:
                 self._repair(own.repairs * these, clock)
+            tell()
             least = 0.0 if is_patient else own.pace / own.rounds * rounds * (self.limit - before)
             if self.bound.value - before <= least:
                 break
             took += (1 + own.repairs) * these
 
-    def look_near(self, clock: Clock) -> None:
+    def look_near(self, clock: Clock, tell: Callable[[], None] = lambda: None) -> None:
         """Replan related targets and look for missed landmarks in turns, if targets are many and the gap is large.
 
         Both get the same work, and most of the time, while the gap is so large that the solver has little hope. Below
-        that, no more landmarks are looked for. Nothing is done if distinct or feedback inputs make a plan more than its
-        labels.
+        that, no more landmarks are looked for. Calls `tell` after each turn. Nothing is done if distinct or feedback
+        inputs make a plan more than its labels.
         """
         near = self._near
         if not self._is_near_next or not self._can_be_built(clock):
@@ -119,6 +122,7 @@ class GapClosing:
                 near_s = np.inf  # landmarks only
             else:
                 break
+            tell()
 
     @property
     def _is_hopeless(self) -> bool:

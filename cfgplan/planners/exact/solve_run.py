@@ -39,10 +39,10 @@ class SolveRun:
         self.closing: GapClosing | None = None
         self._offered: tuple[frozenset[str], Candidates] | None = None
 
-    def offer(self, plan: Collection[int]) -> None:
-        """Offer a plan of labels, by their numbers. Raises OutOfTimeError."""
+    def offer(self, plan: Iterable[int], clock: Clock | None = None) -> None:
+        """Offer a plan of labels, by their numbers. Raises OutOfTimeError by this clock, or by the run's."""
         labels = frozenset(self.structure.network.labels[i] for i in plan)
-        candidates = self._candidates_of(labels, self.clock)
+        candidates = self._candidates_of(labels, clock or self.clock)
         self._offer(candidates, candidates.first_of_each(labels))
         self._offered = labels, candidates
 
@@ -104,6 +104,13 @@ class SolveRun:
         if plan is not None and self.clock.is_over() and value < weights.of_plan(plan):
             labels = plan
         self.take(replace(part, labels=labels, value=value), network, weights, plan)
+
+    def tell_of(self, closing: GapClosing) -> None:
+        """Offer the plan of a gap that is being closed, if it is cheaper, and raise the bound; both are told."""
+        best, weights, plan = self.state.best, self.weights, closing.plan
+        if best is None or weights.cost_us(weights.of_plan(plan)) < best.key.cost_us:
+            self.offer(plan.tolist(), Clock())
+        self.state.raise_bound(weights.cost_us(weights.least(closing.bound.value)))
 
     def landmarks(self) -> Landmarks:
         """The landmarks of the remaining labels."""

@@ -193,8 +193,9 @@ def close_gap(work: SolveRun) -> bool:
     """Bring bound and plan closer."""
     closing, clock = work.closing, work.clock
     if closing is not None and not closing.is_closed and not work.state.is_over:
-        closing.go_on(clock)
-        closing.look_near(clock)
+        tell = partial(work.tell_of, closing)
+        closing.go_on(clock, tell)
+        closing.look_near(clock, tell)
         part = Remaining.by(closing.bound.restricted(closing.bound.may_be_used(closing.limit)), closing.limit)
         work.take_bounded(part, work.network, work.weights, closing.plan)
         clock.end("bounds")
