@@ -9,7 +9,7 @@ from functools import cached_property
 from itertools import chain
 from typing import Final, Protocol, TypeVar
 
-from cfgplan.domain import A_UNIT_OF, Environment, InputPort, Similarity, Transformation
+from cfgplan.domain import A_UNIT_OF, Environment, Similarity, Transformation
 from cfgplan.onward import grouped
 from cfgplan.planning import Problem
 from cfgplan.summary import some
@@ -157,52 +157,32 @@ def _offered_all(environment: Environment, providers: Providers, labels: frozens
     return frozenset(left)
 
 
-def distinct_groups(transformation: Transformation) -> list[list[InputPort]]:
-    """Return the groups of input ports that must be fed by different transformations.
-
-    A port that takes several streams is repeated under different names.
-    """
-    groups: dict[str, list[InputPort]] = defaultdict(list)
-    for port in transformation.inputs:
-        if port.distinct is not None and not port.optional:
-            several = [replace(port, name=f"{port.name} ({n})", count=1) for n in range(1, port.count + 1)]
-            groups[port.distinct] += several if len(several) > 1 else [port]
-    return [group for _, group in sorted(groups.items()) if len(group) > 1] if groups else []
-
-
 def assign_different(choices: Mapping[str, Collection[str]]) -> dict[str, str] | None:
-    """A feeder of its own for each port out of the port's `choices`, or None (Kuhn's matching).
+    """A feeder of its own for each port out of the port's `choices`, or None (shortest augmenting paths).
 
-    The ports that have to change on the way to a free feeder are kept in lists, since there may be a thousand.
+    A port takes its first free choice; other ports change theirs only if it has none.
     """
+    label_of: dict[str, str] = {}
     port_of: dict[str, str] = {}
     for port in choices:
-        first = next(iter(choices[port]), None)
-        if first is not None and first not in port_of:
-            port_of[first] = port
-            continue
-        tried: set[str] = set()
-        ports, ahead, labels = [port], [iter(choices[port])], list[str]()
-        while ports:
-            for label in ahead[-1]:
-                if label not in tried:
-                    break
-            else:
-                ports.pop()
-                ahead.pop()
-                if labels:
-                    labels.pop()
-                continue
-            tried.add(label)
-            labels.append(label)
-            if label not in port_of:
-                port_of.update(zip(labels, ports, strict=True))
+        seen_by: dict[str, str] = {}
+        free: str | None = None
+        ahead = [port]
+        for here in ahead:
+            free = next((label for label in choices[here] if label not in port_of), None)
+            if free is not None:
+                seen_by[free] = here
                 break
-            ports.append(port_of[label])
-            ahead.append(iter(choices[ports[-1]]))
-        else:
+            new = [label for label in choices[here] if label not in seen_by]
+            seen_by |= dict.fromkeys(new, here)
+            ahead += [port_of[label] for label in new]
+        if free is None:
             return None
-    return {port: label for label, port in port_of.items()}
+        while free is not None:
+            taker = seen_by[free]
+            port_of[free] = taker
+            label_of[taker], free = free, label_of.get(taker)
+    return label_of
 
 
 def forward_closure(
@@ -247,7 +227,7 @@ def forward_closure(
                         accepting[each].append(tag)
                     return
                 fed.add(tag)
-        is_crowded = distinct_groups(transformation) or (units and any(p.count > 1 for p in transformation.inputs))
+        is_crowded = transformation.distinct_groups or (units and any(p.count > 1 for p in transformation.inputs))
         (crowded if is_crowded else ahead).append(transformation)
 
     for transformation in each(environment.library):
@@ -280,7 +260,7 @@ def _groups_can_be_fed(
             {p.name: [g for g in providers.of(p.tag) if g in (alive if p.feedback else before)] for p in group}
         )
         is not None
-        for group in distinct_groups(transformation)
+        for group in transformation.distinct_groups
     )
 
 
@@ -331,7 +311,7 @@ class _DeadEnds:
                 found.append(label)
                 continue
             transformation = self._environment.transformation[label]
-            ports = [*transformation.needed_inputs, *chain(*distinct_groups(transformation))]
+            ports = [*transformation.needed_inputs, *chain(*transformation.distinct_groups)]
             givers = {giver for port in ports for giver in self._providers.of(port.tag)}
             new = sorted((givers & self._possible) - self._possible_now - seen)
             ahead += new
@@ -353,14 +333,14 @@ class _DeadEnds:
                     new = [provider for provider in providers.of(port.tag) if provider not in seen]
                     ahead += new
                     seen.update(new)
-            for group in distinct_groups(transformation):
+            for group in transformation.distinct_groups:
                 if assign_different({p.name: providers.of(p.tag) for p in group}) is None:
                     names = " and ".join(port.name for port in group)
                     return f"inputs {names} of {label} need different transformations, and there are too few"
         for label in ahead:
             transformation = self._environment.transformation[label]
             if all(not possible.isdisjoint(providers.of(port.tag)) for port in transformation.needed_inputs):
-                names = " and ".join(port.name for group in distinct_groups(transformation) for port in group)
+                names = " and ".join(port.name for group in transformation.distinct_groups for port in group)
                 return f"inputs {names} of {label} need different transformations, and too few can be fed"
         cycle = ", ".join(ahead[:4]) + (" ..." if len(ahead) > 4 else "")
         return f"the transformations that offer it are fed only by each other: {cycle}"

@@ -581,6 +581,19 @@ class Transformation:
         return tuple([port for port in self.inputs if not port.optional])
 
     @cached_property
+    def distinct_groups(self) -> tuple[tuple[InputPort, ...], ...]:
+        """The groups of inputs that must be fed by different transformations, without optional ones.
+
+        An input that takes several streams is repeated under different names.
+        """
+        groups: dict[str, list[InputPort]] = {}
+        for port in self.inputs:
+            if port.distinct is not None and not port.optional:
+                several = [replace(port, name=f"{port.name} ({n})", count=1) for n in range(1, port.count + 1)]
+                groups.setdefault(port.distinct, []).extend(several if len(several) > 1 else [port])
+        return tuple([tuple(group) for _, group in sorted(groups.items()) if len(group) > 1])
+
+    @cached_property
     def idle_inputs(self) -> frozenset[str]:
         """The names of the inputs that start nothing."""
         return frozenset([port.name for port in self.inputs if port.starts_nothing])

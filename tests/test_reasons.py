@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import islice
+
 import networkx as nx
 from hypothesis import given
 from hypothesis import strategies as st
@@ -101,6 +103,12 @@ def test_feeders_are_assigned_where_a_matching_covers_all_ports(choices: dict[st
     if found is not None:
         assert len(set(found.values())) == len(found)
         assert all(found[port] in labels for port, labels in choices.items())
+
+
+def test_an_input_keeps_its_feeder_while_another_one_has_a_free_choice() -> None:
+    choices = {"p": ["a", "b"], "q": ["a", "b", "c"], "r": ["a"]}
+    assert assign_different(dict(islice(choices.items(), 2))) == {"p": "a", "q": "b"}
+    assert assign_different(choices) == {"p": "b", "q": "c", "r": "a"}
 
 
 def test_thousands_of_inputs_may_have_to_be_fed_anew() -> None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from cfgplan.domain import A_UNIT_OF, Environment, InputPort, Transformation
 from cfgplan.matching import Nearest
 from cfgplan.planning import Problem
-from cfgplan.reasons import Providers, assign_different, distinct_groups, forward_closure, startable
+from cfgplan.reasons import Providers, assign_different, forward_closure, startable
 
 NearestOffers = Callable[[str], tuple[Nearest, ...]]
 """The offered tags that come nearest to a demanded one."""
@@ -148,7 +148,7 @@ class DeadEnds:
         """The inputs that `before` (for feedback inputs: `anywhere`) can't feed: one input alone, or several of a
         distinct group together.
         """
-        groups = distinct_groups(transformation)
+        groups = transformation.distinct_groups
         feeders = {
             port.name: [g for g in self._givers.of(port.tag) if g in (anywhere if port.feedback else before)]
             for port in [*transformation.needed_inputs, *(port for group in groups for port in group)]

@@ -33,6 +33,7 @@ from cfgplan.planners.cpsat import plan
 from cfgplan.planners.solving import clock
 from cfgplan.planning import Problem
 from cfgplan.qualities import Better, Contribution, QualityAttribute, QualityRule, Wish
+from experiments.families.nao import nao
 from experiments.families.random_library import random_library
 from experiments.fleet import instances
 
@@ -60,6 +61,9 @@ KINDS: dict[str, Callable[[int], Problem]] = {
     "one required": required,
     "weighed latency": lambda size: instances.weighted(0, size),
     "bounded latency": lambda size: instances.bounded(0, size),
+    "distinct inputs": lambda size: random_library(0, transformations=size, targets=8, distinct=1.0),
+    "cycles": lambda size: random_library(0, transformations=size, targets=3, arity=3, back=0.4),
+    "robots that share cameras": lambda size: nao(0, robots=max(2, size // 100), fusion=max(1, size // 200), sharing=4),
     "3 hosts": lambda size: instances.hosted(0, size),
     "one failure": lambda size: instances.surviving(0, size),
 }

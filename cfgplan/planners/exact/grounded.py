@@ -19,7 +19,7 @@ from cfgplan.domain import InputPort, Stream
 from cfgplan.onward import derivations, grouped
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.qualities import QualityAttribute, propagated
-from cfgplan.reasons import assign_different, distinct_groups
+from cfgplan.reasons import assign_different
 
 SOON: Final = -(2**62)
 """Comes before any value of a stream."""
@@ -151,7 +151,7 @@ class Grounded:
         """Feed the distinct groups of a unit by streams so far, its present ones if possible. False if it is not."""
         all_of, index_of = self.candidates.all, self.candidates.index_of
         running = all_of[unit].running
-        for group in distinct_groups(all_of[unit].transformation):
+        for group in all_of[unit].transformation.distinct_groups:
             if sum(len(self.streams.get(tag, ())) for tag in {port.tag for port in group}) < len(group):
                 return False  # it is tried after each stream
             first: dict[str, dict[str, Stream]] = {}

@@ -15,7 +15,7 @@ from cfgplan.planners.networks.network import Network
 from cfgplan.planners.networks.reach import Reach
 from cfgplan.planners.solving.arrays import np
 from cfgplan.planners.solving.clock import Clock
-from cfgplan.reasons import Each, assign_different, distinct_groups
+from cfgplan.reasons import Each, assign_different
 
 Costs: TypeAlias = "Sequence[int] | Ints"
 """The cost of each label: a list, or an array."""
@@ -138,7 +138,7 @@ def _feeders(network: Network, label: int, total: list[float], fed: set[int]) ->
             )
     if label in network.special:
         transformation = network.transformations[label]
-        for group in distinct_groups(transformation):
+        for group in transformation.distinct_groups:
             by_price = {
                 port.name: sorted(
                     network.core.providers.lists[network.fact_of_tag[port.tag]], key=lambda i: (total[i], i)
@@ -199,5 +199,5 @@ def _special_inputs_are_fed(network: Network, label: int, before: set[int], chos
 
     return all(feeders(p.tag, chosen) for p in transformation.needed_inputs if p.feedback) and all(
         assign_different({p.name: feeders(p.tag, chosen if p.feedback else before) for p in group}) is not None
-        for group in distinct_groups(transformation)
+        for group in transformation.distinct_groups
     )

@@ -20,7 +20,7 @@ from cfgplan.planners.networks.core import NEVER, Core, Ints, Rows, multi_facts_
 from cfgplan.planners.networks.keys import Key, may_stay
 from cfgplan.planners.solving.arrays import np
 from cfgplan.planning import Problem
-from cfgplan.reasons import Each, Providers, distinct_groups
+from cfgplan.reasons import Each, Providers
 
 
 class Network:
@@ -56,7 +56,7 @@ class Network:
         self.special = frozenset(
             i for i, t in enumerate(library) if any(port.feedback or port.distinct is not None for port in t.inputs)
         )
-        for label, group in ((i, group) for i in each(sorted(self.special)) for group in distinct_groups(library[i])):
+        for label, group in ((i, group) for i in each(sorted(self.special)) for group in library[i].distinct_groups):
             alike = Counter(givers_of_tag[port.tag] for port in group if not port.feedback)
             for providers, takes in multi_facts_of_group(alike):
                 if takes > 1:
