@@ -45,6 +45,7 @@ def tables_text(rows: Sequence[Row]) -> str:
         "# Results of the comparison",
         head(rows),
         overview(rows).markdown(),
+        by_group(rows).markdown(),
         by_family(rows).markdown(),
         detail(rows).markdown(),
         effort(rows).markdown(),
@@ -94,6 +95,26 @@ def overview(rows: Sequence[Row], *, base: str = "cpsat") -> Table:
     return Table("All instances", ("", *names), tuple(zip(measures, *columns, strict=True)))
 
 
+def by_group(rows: Sequence[Row], *, base: str = "cpsat") -> Table:
+    """For each group of families and each planner: proven, out of those not refused, and how fast against `base`."""
+    names = planners(rows)
+    lines = []
+    for group in GROUPS:
+        these = [row for row in rows if _group(row) == group]
+        size = len(by_instance(these))
+        cells = []
+        for name in names:
+            tried = [row for row in these if row.planner == name and _class(row) != "refused"]
+            number, (ratio, _) = sum(row.proven for row in tried), ratio_to(these, name, base)
+            of = "" if len(tried) == size else f" of {len(tried)}"
+            speed = "" if ratio is None or name == base else f" ({ratio:.2g})"
+            cells.append(f"{number}{of}{speed}" if tried else "-")
+        if size:
+            lines.append((group, str(size), *cells))
+    title = f"Proven by group of families, and the time to proof as a multiple of {base}'s, over what both proved"
+    return Table(title, ("group", "instances", *names), tuple(lines))
+
+
 def by_family(rows: Sequence[Row], *, base: str = "cpsat") -> Table:
     """For each family and planner: proven out of those not refused, how fast against `base`, and the worst gap."""
     names = planners(rows)
@@ -135,6 +156,14 @@ def detail(rows: Sequence[Row]) -> Table:
 
 LARGE = 200
 """From so many transformations on, instances of one family make a line of their own."""
+GROUPS = (
+    "NAO case",
+    f"random, replanning: under {LARGE} transformations",
+    f"random, replanning: {LARGE} to 2,000",
+    "hand-made",
+    "WSC 2008",
+)
+"""The groups that texts quote."""
 EFFORT = ("nodes", "conflicts", "expanded", "wirings")
 
 
@@ -209,6 +238,12 @@ def _cell(row: Row, reference: Mapping[tuple[str, str], LeastCost]) -> str:
     if row.has_plan:
         return "leaves a required one unused"
     return "no plan" if row.outcome == Status.UNKNOWN else str(row.outcome)
+
+
+def _group(row: Row) -> str:
+    if row.family in ("random_library", "replanning"):
+        return GROUPS[2 if row.transformations >= LARGE else 1]
+    return {"nao": GROUPS[0], "wsc": GROUPS[4]}.get(row.family, GROUPS[3])
 
 
 def _kind(row: Row) -> str:

@@ -9,11 +9,14 @@ import pytest
 from experiments.compare import ENTRANTS, in_order
 from experiments.study.instances import named
 from experiments.study.invariants import breaches
-from experiments.study.report import tables_text
+from experiments.study.report import by_group, tables_text
 from experiments.study.rows import Row, read_rows
 from experiments.study.suites import SUITES
 
-REPORT = Path(__file__).parents[2] / "experiments" / "report"
+ROOT = Path(__file__).parents[2]
+REPORT = ROOT / "experiments" / "report"
+QUOTED = ("cpsat", "highs", "scip", "clingo-usc", "fast-downward")
+"""The planners in the table of the manual, in order."""
 
 
 @pytest.fixture(scope="module")
@@ -49,3 +52,27 @@ def test_the_text_shows_every_picture() -> None:
     assert {path.name for path in REPORT.glob("*.png")} == {
         part.split(")")[0] for part in text.split("](") if ".png)" in part
     }
+
+
+def cells_of(line: str) -> list[str]:
+    return [cell.strip() for cell in line.split("|")[1:-1]]
+
+
+def test_readme_manual_and_report_quote_the_table_of_groups(rows: list[Row]) -> None:
+    table = by_group(in_order(rows))
+    groups = [dict(zip(table.heads, line, strict=True)) for line in table.lines]
+    manual = (ROOT / "cfgplan" / "manual" / "comparison.md").read_text().splitlines()
+    first = next(at for at, line in enumerate(manual) if line.startswith("| the case study"))
+    found = [dict(zip(QUOTED, cells_of(line)[1:], strict=False)) for line in manual[first : first + len(groups)]]
+    named = ["the case study", "random and replanning, 200", "smaller ones", "made by hand", "web service"]
+    assert all(line.startswith(f"| {name}") for name, line in zip(named, manual[first:], strict=False))
+    case, small, large, *others = groups
+    assert found == [{name: group[name] for name in QUOTED} for group in (case, large, small, *others)]
+    report = (REPORT / "README.md").read_text().splitlines()
+    head = next(line for line in report if line.startswith("| | instances | `cpsat`"))
+    names = ["group", *(cell.strip("`") for cell in cells_of(head)[1:])]
+    for group in groups:
+        assert "| " + " | ".join(group[name] for name in names) + " |" in report
+    proven = {name: sum(row.proven for row in rows if row.planner == name) for name in QUOTED}
+    total = f"cfgplan proves {proven['cpsat']} plans optimal, HiGHS {proven['highs']}, SCIP {proven['scip']}, "
+    assert f"{total}clingo {proven['clingo-usc']}." in (ROOT / "README.md").read_text()
