@@ -63,7 +63,7 @@ KINDS: dict[str, Callable[[int], Problem]] = {
     "bounded latency": lambda size: instances.bounded(0, size),
     "distinct inputs": lambda size: random_library(0, transformations=size, targets=8, distinct=1.0),
     "cycles": lambda size: random_library(0, transformations=size, targets=3, arity=3, back=0.4),
-    "robots that share cameras": lambda size: nao(0, robots=max(2, size // 100), fusion=max(1, size // 200), sharing=4),
+    "robots that share cameras": lambda size: nao(0, robots=max(2, size // 100), fusion=max(2, size // 200), sharing=4),
     "3 hosts": lambda size: instances.hosted(0, size),
     "one failure": lambda size: instances.surviving(0, size),
 }

@@ -162,8 +162,10 @@ class _Values:
             for (label, port), variants in self._variants.items()
             for value, hosts in variants.items()
         }
+        self._outputs_of = grouped((output[0], output) for output in self.makers)
+        self._providing: dict[str, dict[Output, None]] = {}
         self.of: dict[Output, tuple[Span, ...]] = {}
-        for labels in self._rings():
+        for labels in candidates.clock.each(self._rings()):
             self._know(labels)
 
     def _maker(self, label: str, port: str, hosts: Collection[HostName]) -> _Maker:
@@ -176,8 +178,10 @@ class _Values:
         return _Maker(making.inputs, making.gain, add, least, alone, max(times, 1), most > 1)
 
     def _providers(self, tag: str) -> dict[Output, None]:
-        outputs = ((self.candidates.label_of(stream), stream.port) for stream in self.candidates.streams(tag))
-        return {(*output, value): None for output in outputs for value in self._variants[output]}
+        if tag not in self._providing:
+            outputs = ((self.candidates.label_of(stream), stream.port) for stream in self.candidates.streams(tag))
+            self._providing[tag] = {(*output, value): None for output in outputs for value in self._variants[output]}
+        return self._providing[tag]
 
     def _rings(self) -> Iterator[list[str]]:
         """The transformations, those together that may feed each other, after all that may feed them."""
@@ -197,7 +201,7 @@ class _Values:
                 yield sorted(labels)
 
     def _know(self, labels: Sequence[str]) -> None:
-        outputs = [output for output in self.makers if output[0] in labels]
+        outputs = [output for label in labels for output in self._outputs_of.get(label, ())]
         units = {label: sum(c.may_run for c in self.candidates.of(label)) for label in labels}
         if len(labels) == 1 and units[labels[0]] <= 1:
             found = {output: self._made(self.makers[output]) for output in outputs}
@@ -214,14 +218,15 @@ class _Values:
 
     def _made_in_a_ring(self, outputs: Collection[Output], units: Mapping[str, int]) -> list[Span]:
         """The values of outputs of units that may feed each other: no chain has a unit twice."""
-        makers = {output: self.makers[output] for output in outputs}
-        spans = [span for maker in makers.values() for span in self._fed(maker)]
-        spans = [*spans, *((maker.alone, maker.alone) for maker in makers.values())]
+        each = self.candidates.clock.each
+        makers = [self.makers[output] for output in outputs]
+        spans = [span for maker in each(makers) for span in self._fed(maker)]
+        spans = [*spans, *((maker.alone, maker.alone) for maker in makers)]
         up = down = 0
         growth = Fraction(1)
-        is_added_up = all(maker.gain == MICRO and not maker.is_joined for maker in makers.values() if maker.inputs)
-        for label, number in units.items():
-            theirs = [maker for (of, _, _), maker in makers.items() if of == label and maker.inputs]
+        is_added_up = all(maker.gain == MICRO and not maker.is_joined for maker in makers if maker.inputs)
+        for label, number in each(units.items()):
+            theirs = [self.makers[output] for output in self._outputs_of.get(label, ()) if self.makers[output].inputs]
             rounded = 0 if is_added_up else self.step
             up += number * (max([0, *(maker.add for maker in theirs)]) + self._delay + rounded)
             down += number * max([0, *(-maker.add for maker in theirs)])

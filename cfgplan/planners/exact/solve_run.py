@@ -83,13 +83,13 @@ class SolveRun:
         if remaining.holds_for != state.holds_for:
             state.holds_for, state.bound_us = remaining.holds_for, 0
         state.raise_bound(weights.cost_us(remaining.value))
-        clock = self.clock if plan is None else Clock()  # a plan that is known is offered whatever the time
         self.remaining, self.network, self.weights = remaining, network, weights
+        best_us = None if state.best is None else state.best.key.cost_us
+        if plan is not None and self.clock.is_over() and best_us == weights.cost_us(weights.of_plan(plan)):
+            return
+        clock = self.clock if plan is None else Clock()  # a plan that is known is offered whatever the time
         self.candidates = self._candidates_of(frozenset(remaining.names(network)), clock)
         if plan is None:
-            return
-        cost_us = weights.cost_us(weights.of_plan(plan))
-        if state.best is not None and state.best.key.cost_us == cost_us and self.clock.is_over():
             return
         labels = frozenset(network.labels[i] for i in plan)
         chosen = self.candidates.first_of_each(labels)
