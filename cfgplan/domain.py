@@ -689,8 +689,8 @@ class Environment:
         return self.omitting(self.left_out)
 
     def omitting(self, labels: Mapping[str, str]) -> Environment:
-        """Return the environment whose library omits the transformations of these labels, each with the reason."""
-        omitted = tuple((t, labels[t.label]) for t in self.library if t.label in labels)
+        """Return the environment whose library omits also the transformations of these labels, each with the reason."""
+        omitted = (*self.omitted, *((t, labels[t.label]) for t in self.library if t.label in labels))
         return replace(self, library=tuple(t for t in self.library if t.label not in labels), omitted=omitted)
 
     def hosts_for(self, transformation: Transformation) -> tuple[str | None, ...]:

@@ -210,7 +210,9 @@ class Fact:
             value = found
         else:
             try:
-                value = micro_units(round(Decimal(str(found).strip()), 6), LARGEST_FACT)
+                number = Decimal(str(found).strip())
+                is_fine = number.is_finite() and -LARGEST_FACT <= number <= LARGEST_FACT
+                value = micro_units(round(number, 6) if is_fine else number, LARGEST_FACT)
             except ArithmeticError:
                 raise InvalidValueError(f"fact {self.name!r} is {kind_of(self.declared)}, not {found!r:.60}") from None
         if kind_of(value) != kind_of(self.declared):

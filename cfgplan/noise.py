@@ -3,12 +3,15 @@
 A mean of half-life HALF_LIFE_S is compared, and changes sides of a bound only BAND_ERRORS standard errors beyond it, in
 both directions. With 20 % noise at 5 values a second this follows each of 24 crossings in 480 s, 6 s late, and changes
 its mind at most 10 times an hour where the truth lies exactly on a bound. Raw values make 1107 changes of these 24.
+
+A value that its noise does not explain (the innovation gate of a Kalman filter) is left out as an outlier, unless the
+JUMP_VALUES last values were all such, on the same side: then the truth has jumped, and the mean begins anew there.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import sqrt
 from typing import Final
 
@@ -16,6 +19,11 @@ from cfgplan.qualities import MICRO, units
 
 HALF_LIFE_S: Final = 2.0
 BAND_ERRORS: Final = 3
+OUTLIER_ERRORS: Final = 5
+"""A value is an outlier if it is more than so many standard deviations from the mean."""
+JUMP_VALUES: Final = 3
+_JUMP_VARIANCE: Final = 0.4487
+"""The variance of the median of JUMP_VALUES values, as a share of a single value's: 1 - sqrt(3) / pi."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,19 +47,39 @@ class Noise:
 
 @dataclass(frozen=True, slots=True)
 class NoisyMean:
-    """An exponential mean of values in millionths; `variance` is its variance as a share of a single value's."""
+    """An exponential mean of values in millionths; `variance` is its variance as a share of a single value's.
+
+    Before the first value, it is the value that counts so far, which the first values may show to be wrong.
+    """
 
     mean: float
     at_s: float
-    variance: float = 1.0
-    values: int = 1
+    variance: float = 0.0
+    values: int = 0
+    """The number of values in the mean."""
+    outliers: tuple[int, ...] = ()
+    """The outliers on the same side since the last value that was none, at most the last JUMP_VALUES - 1."""
 
-    def after(self, value: int, at_s: float) -> NoisyMean:
+    def after(self, value: int, at_s: float, noise: Noise) -> NoisyMean:
         """Return the mean after one more value. The first values have equal weights."""
-        values = self.values + 1
-        share = max(_share(at_s - self.at_s), 1 / values)
-        variance = (1 - share) ** 2 * self.variance + share**2
-        return NoisyMean(self.mean + share * (value - self.mean), at_s, variance, values)
+        if self._explains(value, noise):
+            values = self.values + 1
+            share = max(_share(at_s - self.at_s), 1 / values)
+            variance = (1 - share) ** 2 * self.variance + share**2
+            return NoisyMean(self.mean + share * (value - self.mean), at_s, variance, values)
+        outliers = (*self.outliers, value)
+        if any((other - self.mean) * (value - self.mean) < 0 for other in self.outliers):
+            outliers = (value,)
+        if len(outliers) < JUMP_VALUES:
+            return replace(self, outliers=outliers)
+        return NoisyMean(sorted(outliers)[JUMP_VALUES // 2], at_s, _JUMP_VARIANCE, JUMP_VALUES, outliers[1:])
+
+    def _explains(self, value: int, noise: Noise) -> bool:
+        """Whether a value is so near to the mean that it may be noise. Both are equally right to know how large a share
+        of noise is: at the geometric mean of both, zeros and saturated values are outliers whatever the share.
+        """
+        variance = noise.at(round(self.mean)) * noise.at(value) * (1 + self.variance)
+        return (value - self.mean) ** 2 <= OUTLIER_ERRORS**2 * variance
 
     def planned_value(self, noise: Noise, before: int, bounds: Iterable[int]) -> int:
         """Return the value to plan with, in millionths: the mean, moved to the certain side of each bound.

@@ -289,8 +289,10 @@ def test_an_element_says_the_value_of_a_fact(
         (None, None, "is a number, not None"),
         (None, float("nan"), "is not a finite number"),
         (None, "nan", "is not a finite number"),
-        (None, float("inf"), "is a number, not inf"),
-        (None, 1e300, "is a number, not 1e+300"),
+        (None, float("inf"), "is not a finite number"),
+        (None, "-Infinity", "is not a finite number"),
+        (None, "snan", "is not a finite number"),
+        (None, 1e300, "is too large: the limit is 1,000,000,000,000"),
         (None, 1e13, "is too large: the limit is 1,000,000,000,000"),
     ],
 )

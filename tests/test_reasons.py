@@ -136,6 +136,13 @@ def test_a_reason_names_the_omitted_transformations_that_a_target_lacks_and_why(
     assert omitting("C", {"eye": night, "drive": murky}, *library) == f"target q wants C, {left_out} drive ({murky})"
 
 
+def test_transformations_that_were_omitted_before_are_named_too() -> None:
+    environment = Environment((), (make("eye", "", "A"), make("sonar", "", "A")), (Target("q", "A", "/q"),))
+    environment = environment.omitting({"eye": "it is night"}).omitting({"sonar": "it is murky"})
+    (text,) = unmet_reasons(Problem(environment, Similarity({"A": frozenset("A")}), 1)).values()
+    assert text.endswith("left out for now: eye (it is night), sonar (it is murky)")
+
+
 def test_omitted_transformations_that_could_not_be_fed_either_are_no_reason() -> None:
     text = omitting("B", {"map": "night is true"}, make("map", "A", "B"), make("other", "D", "B"))
     assert text == "target q wants B, but input in0 of map needs A, and no output matches"

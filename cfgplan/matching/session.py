@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Final
@@ -183,7 +183,7 @@ class Matcher:
         left_s = countdown(time_limit_s)
         self._refute(rows, time_limit_s)
         if decide:
-            self._ask(self._in_order(rows), left_s())
+            self._ask(self._in_order(rows), left_s(), self._doubtful(rows))
             self._check(rows, left_s())
         return self._told(rows, time_limit_s, is_asked=decide)
 
@@ -253,19 +253,23 @@ class Matcher:
             for offered in sorted(row - self._refuted(demand), key=rank.__getitem__)
         )
 
-    def _ask(self, pairs: Iterable[AskedPair], time_limit_s: float | None) -> int:
+    def _ask(
+        self, pairs: Iterable[AskedPair], time_limit_s: float | None, doubtful: Collection[Concept] = frozenset()
+    ) -> int:
         try:
-            asked = self._verdicts.ask(pairs, time_limit_s)
+            asked = self._verdicts.ask(pairs, time_limit_s, doubtful)
         except MatchingError as error:
             raise self._input_error(error) from error
         self._asked += asked
         return asked
 
+    def _doubtful(self, rows: MatchedRows | None) -> Collection[Concept]:
+        """The offers that the fast engine does not certify to be satisfiable."""
+        return self._offered.texts.keys() if rows is None else rows.uncertified
+
     def _check(self, rows: MatchedRows | None, time_limit_s: float | None) -> None:
         """Have the reference look for contradictions in offers and in the ontology where that was not done yet."""
-        doubtful = {*(self._offered.texts if rows is None else rows.uncertified)}
-        if rows is None or self.outside():
-            doubtful.add(TOP)
+        doubtful = {*self._doubtful(rows), *([TOP] if rows is None or self.outside() else [])}
         try:
             self._verdicts.check(doubtful, time_limit_s)
         except MatchingError as error:

@@ -60,21 +60,27 @@ class Verdicts:
 
         Raises what the reasoner raises, such as InconsistentOntologyError.
         """
-        known = {*self.possible, *self.unsatisfiable, *([TOP] if self.possible else [])}
-        questions = sorted({*concepts} - known, key=in_functional_syntax)
+        questions = self._unknown(concepts)
         if self._reference is not None and questions and (time_limit_s is None or time_limit_s > 0):
             self._note(satisfiable(self._reference, self._part(questions), questions, time_limit_s), concepts)
+
+    def _unknown(self, concepts: Collection[Concept]) -> list[Concept]:
+        known = {*self.possible, *self.unsatisfiable, *([TOP] if self.possible else [])}
+        return sorted({*concepts} - known, key=in_functional_syntax)
 
     def _note(self, told: Mapping[Concept, bool], concepts: Collection[Concept]) -> None:
         for concept in told.keys() & concepts:
             (self.possible if told[concept] else self.unsatisfiable).add(concept)
 
-    def ask(self, pairs: Iterable[AskedPair], time_limit_s: float | None) -> int:
+    def ask(
+        self, pairs: Iterable[AskedPair], time_limit_s: float | None, doubtful: Collection[Concept] = frozenset()
+    ) -> int:
         """Ask, in this order, for which pairs the offered concept is below the demanded one. Returns how many were
         asked.
 
-        Many pairs are decided by classifying their tags, or one by one if that takes too long. Pairs not reached in
-        time stay open. Raises what the reasoner raises, except ReasonerTimeoutError.
+        The call for the last pairs also asks which of the `doubtful` concepts are satisfiable. Many pairs are decided
+        by classifying their tags, or one by one if that takes too long. Pairs not reached in time stay open. Raises
+        what the reasoner raises, except ReasonerTimeoutError.
         """
         left_s = countdown(time_limit_s)
         missing = [] if self._reference is None else self._missing(pairs)
@@ -83,7 +89,7 @@ class Verdicts:
         if asked > PAIRS_OF_A_TAG * (len(offered) + len(demanded)):
             self._classify(offered, demanded, None if time_limit_s is None else CLASSIFYING * time_limit_s)
             missing = self._missing(missing)
-        self._ask_one_by_one(missing, left_s)
+        self._ask_one_by_one(missing, left_s, doubtful)
         return asked
 
     def _missing(self, pairs: Iterable[AskedPair]) -> list[AskedPair]:
@@ -111,13 +117,15 @@ class Verdicts:
         for wanted, concepts in below.items():
             self._tell(wanted, offered, concepts)
 
-    def _ask_one_by_one(self, pairs: Sequence[AskedPair], left_s: Callable[[], float | None]) -> None:
+    def _ask_one_by_one(
+        self, pairs: Sequence[AskedPair], left_s: Callable[[], float | None], doubtful: Collection[Concept]
+    ) -> None:
         """Ask pair by pair until time is over. A pair that gets no answer is tried again after the others."""
         limit_s = left_s()
         patience_s = VERDICT_PATIENCE_S if limit_s is None else PATIENCE * limit_s
         size = FIRST_PAIRS
         while pairs and (limit_s is None or limit_s > 0):
-            told, stuck = self._ask_some(pairs[:size], limit_s, patience_s)
+            told, stuck = self._ask_some(pairs[:size], limit_s, patience_s, doubtful if len(pairs) <= size else ())
             pairs = self._missing(pairs)
             if stuck is not None:
                 pairs = sorted(pairs, key=lambda pair: stuck in _questions(pair))
@@ -126,15 +134,22 @@ class Verdicts:
             limit_s = left_s()
 
     def _ask_some(
-        self, pairs: Sequence[AskedPair], time_limit_s: float | None, patience_s: float
+        self,
+        pairs: Sequence[AskedPair],
+        time_limit_s: float | None,
+        patience_s: float,
+        doubtful: Collection[Concept],
     ) -> tuple[int, Concept | None]:
-        """Ask about some pairs in one call. Returns how many questions were answered, and the first that was not."""
+        """Ask about some pairs, and then about doubtful concepts, in one call. Returns how many questions were
+        answered, and the first that was not.
+        """
         assert self._reference is not None
         questions = dict.fromkeys(
             question for pair in pairs for question in _questions(pair) if question not in self.possible
         )
+        questions |= dict.fromkeys(self._unknown(doubtful))
         told = satisfiable(self._reference, self._part(questions), questions, time_limit_s, patience_s)
-        self._note(told, {concept for concept, _ in pairs})
+        self._note(told, {*(concept for concept, _ in pairs), *doubtful})
         rows: defaultdict[Concept, list[tuple[Concept, bool]]] = defaultdict(list)
         for pair in pairs:
             concept, both = _questions(pair)

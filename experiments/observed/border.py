@@ -24,7 +24,7 @@ def changes(random: Random, truth: float, share: float, rate_hz: int, hours: flo
     noise, bound = Noise(round(share * MICRO), is_share=True), round(BOUND * MICRO)
     mean, planned, found = NoisyMean(round(truth * MICRO), 0.0), round(truth * MICRO), 0
     for step in range(1, round(hours * HOUR_S * rate_hz)):
-        mean = mean.after(round(random.gauss(truth, share * truth) * MICRO), step / rate_hz)
+        mean = mean.after(round(random.gauss(truth, share * truth) * MICRO), step / rate_hz, noise)
         was, planned = planned, mean.planned_value(noise, planned, (bound,))
         found += (was >= bound) != (planned >= bound)
     return found

@@ -178,6 +178,19 @@ def test_noisy_values_are_followed_without_a_switch_too_many() -> None:
     assert len(run.reviews) <= 30
 
 
+def test_two_wrong_values_change_nothing_and_a_jump_is_followed_at_its_third_value() -> None:
+    run = survey(Noise(200_000, is_share=True))
+    see(run, *[2_700_000] * 40, every_s=0.2)
+    before = len(run.reviews)
+    see(run, 65_535_000_000, *[2_700_000] * 20, 0, 65_535_000_000, 2_700_000, 0, 0, every_s=0.2)
+    assert (len(run.reviews), "middle.1" in run.units) == (before, True)
+    see(run, 2_700_000, 500_000, 500_000, every_s=0.2)
+    assert (len(run.reviews), "middle.1" in run.units) == (before, True)
+    see(run, 500_000, every_s=0.2)
+    assert [review.decision for review in run.reviews[before:]] == [Decision.APPLIED]
+    assert "drift.1" in run.units
+
+
 def test_values_without_noise_are_compared_as_they_come() -> None:
     run = survey(None)
     play(run, lambda time_s: sine(time_s + 0.5), seconds=480, rate_hz=1, share=0.0)

@@ -46,6 +46,28 @@ def test_pairs_are_open_until_they_are_asked_about_and_asked_about_once(reasoner
     assert not everything.open
 
 
+@pytest.mark.parametrize("reasoner", ["auto", "hermit"])
+def test_one_start_of_hermit_decides_pairs_and_whether_offers_are_satisfiable(
+    reasoner: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only HermiT finds that C matches and that Q is unsatisfiable; the fast engine finds that A and Q match."""
+    starts, ask = list[Sequence[str]](), hermit.satisfiable
+
+    def satisfiable(document: str, classes: Sequence[str], **limits: float | None) -> dict[str, bool]:
+        starts.append(classes)
+        return ask(document, classes, **limits)
+
+    monkeypatch.setattr(hermit, "satisfiable", satisfiable)
+    never = ("SubClassOf(<w#Q> <w#W>)", "SubClassOf(<w#Q> ObjectUnionOf(<w#R> <w#S>))")
+    empty = ("DisjointClasses(<w#Q> <w#R>)", "DisjointClasses(<w#Q> <w#S>)")
+    ontology = Ontology([*COVERED.axioms, *never, *empty])
+    some = matcher(reasoner, ontology)
+    some.add(offered=["Q"])
+    found = some.matching()
+    assert found.similarity.offers == {"W": {"C", "A"}}
+    assert (len(starts), found.impossible) == (1, {"Q"})
+
+
 def test_the_fast_engine_alone_asks_nothing() -> None:
     some = matcher("el")
     assert some.decide([("C", "W")]) == 0

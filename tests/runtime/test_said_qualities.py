@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from math import isfinite
+from collections.abc import Iterable
+from math import inf, isfinite, sqrt
+from random import Random
 
 import numpy
 import pytest
 from cfgplan_runtime.streams.measured_stream import MeasuredStream, Quality
 from cfgplan_runtime.streams.said_qualities import SaidQualities
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cfgplan.observed import NEWS_ERRORS, Figures, Window
 
 
 class _Unconvertible:
@@ -22,6 +28,66 @@ def test_sums_of_huge_numbers_are_finite(numbers: tuple[float, ...]) -> None:
         assert said.take("p", {"how": {"error": number}}, {}) == []
     sums = said.taken()["p"]["error"]
     assert (sums.elements, isfinite(sums.mean), isfinite(sums.squares)) == (len(numbers), True, True)
+
+
+ORDINARY, HUGE = st.floats(0.05, 1.0), st.floats(101.0, 1e12)
+
+
+def sums_of(numbers: Iterable[float]) -> tuple[Quality, list[str]]:
+    said = SaidQualities({"p": {"error": "error"}})
+    faults = [fault for number in numbers for fault in said.take("p", {"error": number}, {})]
+    return said.taken()["p"]["error"], faults
+
+
+@given(st.lists(ORDINARY, min_size=2), st.lists(st.tuples(st.lists(HUGE, max_size=2), st.lists(ORDINARY, min_size=3))))
+def test_absurd_numbers_do_not_count_and_are_told(
+    begin: list[float], rest: list[tuple[list[float], list[float]]]
+) -> None:
+    series = [*begin, *(number for spike, calm in rest for number in (*spike, *calm))]
+    sums, faults = sums_of(series)
+    assert sums == sums_of(number for number in series if number <= 1.0)[0]
+    told = [number for number in series[:-5] if number > 1.0]
+    assert len(faults) >= bool(told)
+    assert not faults or faults[0].startswith(f"output p says {told[0]:g} as its error, more than 100 times")
+
+
+@given(st.lists(ORDINARY, min_size=3), st.lists(st.floats(101.0, 5000.0), min_size=3))
+def test_numbers_that_are_huge_from_now_on_all_count(before: list[float], after: list[float]) -> None:
+    sums, faults = sums_of([*before, *after])
+    assert (sums.elements, faults) == (len(before) + len(after), [])
+    assert sums.mean == pytest.approx(sum([*before, *after]) / sums.elements)
+
+
+@given(st.lists(st.sampled_from((0.0, 1.0)), min_size=1), st.integers(1, 5))
+def test_no_number_among_zeros_is_absurd(numbers: list[float], zeros: int) -> None:
+    series = [each for number in numbers for each in (*[0.0] * zeros, number)]
+    assert sums_of(series)[0].elements == len(series)
+
+
+@pytest.mark.parametrize("rate", [1, 5, 20])
+def test_a_change_after_an_absurd_number_is_noticed_at_once(rate: int) -> None:
+    """Before, the absurd number hid it for two to five minutes."""
+    chance, said, window = Random(1), SaidQualities({"p": {"error": "error"}}), Window(0.0)
+
+    def heard(at_s: int, level: float, *more: float) -> tuple[float, float]:
+        nonlocal window
+        for number in (*more, *(chance.gauss(level, 0.04) for _ in range(rate - len(more)))):
+            said.take("p", {"error": number}, {})
+        quality = said.taken().get("p", {}).get("error", Quality(0, 0.0, 0.0))
+        window = window.after(Figures(*quality), at_s)
+        sample = window.sample
+        return (0.2, inf) if sample is None else (sample.mean, sqrt(sample.variance))
+
+    for at_s in range(1, 60):
+        heard(at_s, 0.2)
+    heard(60, 0.2, 65_535.0)
+    for at_s in range(61, 70):
+        heard(at_s, 0.2)
+    for at_s in range(70, 79):
+        mean, error = heard(at_s, 0.8)
+        if abs(mean - 0.2) > NEWS_ERRORS * error:
+            return
+    pytest.fail("the change was not noticed within 9 s")
 
 
 @pytest.mark.parametrize(

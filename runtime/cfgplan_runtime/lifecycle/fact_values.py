@@ -42,9 +42,10 @@ def fact_seen(transition: Transition, name: str, value: FactValue) -> Transition
         return transition
     mean, band, known_value = None, 0.0, fact.being(state.situation.facts.get(name)).value
     if fact.noise is not None and isinstance(value, int):
-        known_mean = state.heard[name].mean if name in state.heard else None
-        mean = NoisyMean(value, transition.at_s) if known_mean is None else known_mean.after(value, transition.at_s)
         assert isinstance(known_value, int)
+        known_mean = state.heard[name].mean if name in state.heard else None
+        mean = known_mean or NoisyMean(known_value, transition.at_s)
+        mean = mean.after(value, transition.at_s, fact.noise)
         value = mean.planned_value(fact.noise, known_value, world.bounds.get(fact.name, ()))
         band = fact.noise.band(value, mean.variance)
     if fact.name in world.curves and not _is_news(world, fact, known_value, value, band):

@@ -7,12 +7,13 @@ from functools import partial
 from math import isfinite
 from typing import Any, Final
 
-from cfgplan.domain import Environment
+from cfgplan.domain import Environment, Statement
 from cfgplan.qualities import Teller, Told
 from cfgplan_runtime.lifecycle.manager import Manager
 from cfgplan_runtime.operating.outside_topics import TopicReader, follow_world
 from cfgplan_runtime.outside.once import Once
 from cfgplan_runtime.streams.closable import Closable
+from cfgplan_runtime.streams.said_qualities import PlausibleNumbers
 
 _TYPES: Final = {
     Teller.DIAGNOSTICS: "diagnostic_msgs/DiagnosticArray",
@@ -32,6 +33,7 @@ class ToldQualities(Closable):
 
     def __init__(self, reader: TopicReader, manager: Manager, tell: Callable[[str], None]) -> None:
         self._reader, self._manager, self._once = reader, manager, Once(tell)
+        self._plausible: dict[Statement, PlausibleNumbers] = {}
         follow_world(manager, reader, _tellers, self._read)
 
     def close(self) -> None:
@@ -50,8 +52,10 @@ class ToldQualities(Closable):
             value = numbers[told]
             if value is None:
                 self._once.tell(str(statement), f"/{teller} does not report {statement}: {told.key} is not a number")
-            else:
-                self._manager.tell_quality(statement, value)
+                continue
+            counted, _ = self._plausible.setdefault(statement, PlausibleNumbers()).after(value)
+            for each in counted:
+                self._manager.tell_quality(statement, each)
 
 
 def _tellers(environment: Environment) -> list[Teller]:

@@ -17,6 +17,33 @@ _GOOD_AGAIN: Final = 100
 """A fault is told again only after so many good values in a row."""
 
 
+_ABSURD: Final = 100
+"""A number more than so many times as large as usual is absurd; a variance is, for ten standard deviations."""
+_SURROUNDINGS: Final = 5
+"""The median of so many numbers is usual, so that two absurd ones in a row remain absurd, and three are usual."""
+
+
+class PlausibleNumbers:
+    """The numbers of a series without absurd ones.
+
+    A single absurd number in a mean hides for minutes what other numbers say. A number that seems absurd counts later
+    if the next ones show that it is usual now.
+    """
+
+    def __init__(self) -> None:
+        self._last: list[tuple[float, bool]] = []
+        """The last numbers, each with whether it counts."""
+
+    def after(self, number: float) -> tuple[list[float], float | None]:
+        """Take in a number. Returns the numbers that count from now on, and one that turned out to be absurd."""
+        last = [*self._last, (number, False)]
+        absurd = next((each for each, counts in last[:-_SURROUNDINGS] if not counts), None)
+        last = last[-_SURROUNDINGS:]
+        most = _ABSURD * sorted(abs(each) for each, _ in last)[(len(last) - 1) // 2]
+        self._last = [(each, counts or most == 0 or abs(each) <= most) for each, counts in last]
+        return [each for (each, counts), (_, counted) in zip(self._last, last, strict=True) if counts > counted], absurd
+
+
 @dataclass(frozen=True, slots=True)
 class _Missing:
     """The field that a value does not have."""
@@ -42,6 +69,7 @@ class SaidQualities:
             for port, fields in stated.items()
         }
         self._measured = {port: MeasuredStream(kinds) for port in stated if (kinds := measured_kinds(stated[port]))}
+        self._plausible: dict[tuple[str, str], PlausibleNumbers] = {}
         self._sums: dict[tuple[str, str], Quality] = {}
         self._faulty: dict[tuple[str, str], int] = {}
         """By output and attribute with a reported fault: the number of good values in a row since then."""
@@ -77,9 +105,15 @@ class SaidQualities:
         if number is None or not isfinite(number):
             return f"does not say its {attribute}: {said!r:.60} is not a finite number"
         number = min(max(number, -_LARGEST_NUMBER), _LARGEST_NUMBER)
+        counted, absurd = self._plausible.setdefault((port, attribute), PlausibleNumbers()).after(number)
         sums = self._sums.get((port, attribute), NONE_SAID)
-        self._sums[port, attribute] = sums.with_more(Quality(1, number, 0.0))
-        return ""
+        for each in counted:
+            sums = sums.with_more(Quality(1, each, 0.0))
+        if sums.elements:
+            self._sums[port, attribute] = sums
+        if absurd is None:
+            return ""
+        return f"says {absurd:g} as its {attribute}, more than {_ABSURD} times as much as usual, which does not count"
 
     def note(self, port: str, age_s: float) -> None:
         """Measure an output at a value that comes now."""
