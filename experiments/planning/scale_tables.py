@@ -19,13 +19,15 @@ from experiments.study.rows import Row, planners
 BASE = "cpsat"
 PARTS = ("cuts-alone",)
 """The same planner with a part left out; all the others are peers."""
+QUOTED = (BASE, "highs", "scip", "levels-alone", "clingo-usc", "rc2-stratified", "fast-downward")
+"""The planners in the manual's table, in order."""
 GAPS_S = 10.0
 """So long after the start bounds and plans are compared."""
 
 
 def scale_text(rows: Sequence[Row], loads: Mapping[str, float]) -> str:
     """Return the tables in Markdown; `loads` has the seconds to load the environment file of an instance, by name."""
-    tables = (summary(rows), peer_by_peer(rows), behind(rows), building(rows, loads), everyone(rows))
+    tables = (summary(rows), quoted(rows), peer_by_peer(rows), behind(rows), building(rows, loads), everyone(rows))
     parts = ["# The planner at scale, and its peers", head(rows), *(table.markdown() for table in tables)]
     return "\n\n".join(part.strip() for part in parts) + "\n"
 
@@ -62,6 +64,25 @@ def summary(rows: Sequence[Row]) -> Table:
         "lead over the fastest peer each time",
     )
     return Table(f"How far {BASE} is ahead of {', '.join(peers)}", heads, tuple(lines))
+
+
+def quoted(rows: Sequence[Row]) -> Table:
+    """Return the manual's table: what each planner proves, how long it takes, and the same for families with hosts."""
+    groups = families(rows)
+    hosted = [name for name, group in groups.items() if any("hosts" in row.parameters for row in group)]
+    proven = (_proven([row for row in rows if row.planner == name and took_part(row)]) for name in QUOTED)
+    means = [
+        _mean([lead(matched(group, BASE, [name])) for group in groups.values()]).split(" (")[0] for name in QUOTED[1:]
+    ]
+    lines = [("proven", *proven), (f"time to proof, in multiples of {BASE}'s", "1", *means)]
+    for family in hosted:
+        group = groups[family]
+        cells = [_proven([row for row in group if row.planner == BASE])]
+        for name in QUOTED[1:]:
+            own = _proven([row for row in group if row.planner == name and took_part(row)])
+            cells.append(f"{own} ({lead(matched(group, BASE, [name])).text()})" if own else "does not support hosts")
+        lines.append((family, *cells))
+    return Table("The table of the manual", ("", *QUOTED), tuple(lines))
 
 
 def peer_by_peer(rows: Sequence[Row]) -> Table:

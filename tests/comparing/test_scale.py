@@ -22,6 +22,7 @@ from experiments.planning.scale_tables import (
     families,
     known_after,
     peer_by_peer,
+    quoted,
     scale_text,
     summary,
 )
@@ -30,7 +31,8 @@ from experiments.study.instances import generated
 from experiments.study.invariants import breaches
 from experiments.study.rows import Row, read_rows
 
-REPORT = Path(__file__).parents[2] / "experiments" / "planning" / "scale"
+ROOT = Path(__file__).parents[2]
+REPORT = ROOT / "experiments" / "planning" / "scale"
 SMALL, LARGE = SCALE["50"], SCALE["5,000"]
 
 ROWS = [
@@ -140,3 +142,9 @@ def test_every_planner_ran_on_every_instance_that_it_takes_part_in(rows: list[Ro
     assert set(AT_SCALE) <= set(ENTRANTS)
     due = {(i.name, name) for i in scale() for name in AT_SCALE if takes_part(i, ENTRANTS[name])}
     assert {(row.instance, row.planner) for row in rows} == due
+
+
+def test_the_manual_quotes_the_table_made_for_it(rows: list[Row]) -> None:
+    manual = (ROOT / "cfgplan" / "manual" / "comparison.md").read_text().splitlines()
+    for line in quoted(rows).lines:
+        assert "| " + " | ".join(line) + " |" in manual
