@@ -126,7 +126,7 @@ def test_the_other_tests_of_a_worker_that_dies_or_hears_nothing_run_once(tmp_pat
     (tmp_path / "test_deaths.py").write_text(SUITE_WITH_DEATHS, encoding="utf-8")
     (tmp_path / "conftest.py").write_text("from suite import pytest_xdist_make_scheduler\n", encoding="utf-8")
     (tmp_path / "suite.py").symlink_to(TESTS / "conftest.py")
-    for name in ("warm.py", "warm_python.py"):
+    for name in ("warm.py", "warm_cfgplan.py", "warm_python.py"):
         (tmp_path / name).symlink_to(TESTS / name)
     limits = ["-o", "faulthandler_timeout=5", "-o", "faulthandler_exit_on_timeout=true"]
     options = ["-n", "2", "--dist", "loadgroup", "-p", "no:cacheprovider", *limits]

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+import select
 import signal
 import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import warm
@@ -128,11 +130,37 @@ def test_a_warm_python_is_a_child_of_its_caller_with_its_environment_folder_and_
     assert said == [[["-c"], os.getpid(), True, "so", str(tmp_path)]] * 2
 
 
-def test_a_cold_python_starts_where_the_system_refuses_to_fork_a_sibling() -> None:
+def test_a_warm_python_has_the_environment_and_folder_that_are_named_and_speaks_into_pipes(tmp_path: Path) -> None:
+    code = "import os, sys; print(sys.argv[1], os.environ['SAID'], os.getcwd()); sys.exit('wrong')"
+    as_asked: dict[str, Any] = {"env": {**os.environ, "SAID": "so"}, "cwd": tmp_path, "stdin": subprocess.DEVNULL}
+    for started_with in (subprocess, warm_subprocess("json")):
+        line = [sys.executable, "-c", code, "heard"]
+        with started_with.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **as_asked) as child:
+            assert child.communicate(timeout=PATIENCE_S) == (f"heard so {tmp_path}\n", "wrong\n")
+        assert child.returncode == 1
+
+
+def test_a_warm_node_ends_with_the_process_that_started_it() -> None:
+    code = (
+        "import sys, time; from warm_python import warm_python; child = warm_python(sys.executable, '').start("
+        "[sys.executable, '-c', 'import time; time.sleep(600)'], dies_with_us=True);"
+        "print(child.pid, flush=True); time.sleep(600)"
+    )
+    found = {**os.environ, "PYTHONPATH": str(Path(warm.__file__).parent)}
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, env=found) as process:
+        assert process.stdout is not None
+        node = os.pidfd_open(int(process.stdout.readline()))
+        process.kill()
+    assert select.select([node], [], [], PATIENCE_S)[0]
+    os.close(node)
+
+
+def test_a_cold_python_starts_where_the_system_refuses_to_fork_a_sibling(tmp_path: Path) -> None:
+    (tmp_path / "beside.py").write_text("CODE = 3")
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with ours, theirs:
         theirs.send(b"-1")
-        child = WarmPython(ours).start([sys.executable, "-c", "import sys; sys.exit(3)"])
+        child = WarmPython(ours, [str(tmp_path)]).start([sys.executable, "-c", "import beside; exit(beside.CODE)"])
     assert isinstance(child, subprocess.Popen)
     assert child.wait(60) == 3
 

@@ -10,6 +10,10 @@ import sys
 import tempfile
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
+
+from warm_cfgplan import product_modules
+from warm_python import warm_subprocess
 
 _CODE = Path(__file__).with_name("warm_cfgplan.py")
 
@@ -25,6 +29,16 @@ def command(*arguments: object) -> list[str]:
 def cold_command(*arguments: object) -> list[str]:
     """The command line of `cfgplan`, for tests that look at its process."""
     return [sys.executable, "-c", "import sys; from cfgplan.cli import main; sys.exit(main())", *map(str, arguments)]
+
+
+def warm_processes() -> SimpleNamespace:
+    """The module `subprocess`: its `Popen` starts a `cold_command` as a child of this process, with warm imports.
+
+    Agents, nurseries and relays that the child starts are forks of it as it was before its command began.
+    """
+    return warm_subprocess(
+        *product_modules(), "cfgplan_runtime.fleet.agent", "cfgplan_runtime.ros1.topic_relay", "zenoh"
+    )
 
 
 def module_command(module: str) -> list[str]:

@@ -21,6 +21,8 @@ from contextlib import suppress
 
 PASSED_ON = (signal.SIGHUP, signal.SIGINT, signal.SIGQUIT, signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2)
 _LENGTH_BYTES = 4
+STARTING = (["run"], ["agent"])
+"""The commands that start agents, nurseries or relays."""
 
 
 def call(path: str, arguments: list[str]) -> int:
@@ -58,8 +60,10 @@ def _await_end(pid: int) -> None:
 
 def serve(path: str, module: str) -> int | None:
     """Answer calls until the process that started it ends. Returns in the fork of a call with its exit code."""
-    from cfgplan_runtime.processes.nursery import die_with_parent
+    from setproctitle import getproctitle
+    from warm_python import die_with_parent
 
+    getproctitle()  # finds the place of titles, as in warm_python.py
     die_with_parent(os.getppid())
     main = _main_of(module) if module else _main_of_the_product()
     gc.collect()
@@ -88,21 +92,27 @@ def _main_of(module: str) -> Callable[[], int | None]:
 
 
 def _main_of_the_product() -> Callable[[], int]:
-    """Import what commands import when they need it."""
     import importlib
+
+    import cfgplan.cli
+
+    for name in product_modules():
+        importlib.import_module(name)
+    return cfgplan.cli.main
+
+
+def product_modules() -> list[str]:
+    """The names of the modules that commands import when they need them."""
     import pkgutil
 
     import cfgplan.cli
 
-    for module in pkgutil.iter_modules(cfgplan.cli.__path__, "cfgplan.cli."):
-        importlib.import_module(module.name)
-    for name in (
+    return [
+        *(module.name for module in pkgutil.iter_modules(cfgplan.cli.__path__, "cfgplan.cli.")),
         "cfgplan.api", "cfgplan.answers", "cfgplan.explaining", "cfgplan.matching.session", "cfgplan.formats.models",
         "cfgplan.planners.cpsat", "cfgplan.planners.exact.deployment", "cfgplan.planners.exact.search", "networkx",
         "rich.live", "rich.table", "cfgplan_runtime.operating.operation", "cfgplan_runtime.lifecycle.file_watch",
-    ):  # fmt: skip
-        importlib.import_module(name)
-    return cfgplan.cli.main
+    ]  # fmt: skip
 
 
 def _answer(caller: socket.socket, main: Callable[[], int | None]) -> int | None:
@@ -144,7 +154,7 @@ def _run(
     parent: int,
 ) -> int | None:
     """Become the command, as `python -c` starts it."""
-    from cfgplan_runtime.processes.nursery import die_with_parent
+    from warm_python import die_with_parent, renew_streams, with_warm_helpers
 
     die_with_parent(parent)
     for number, stream in enumerate(streams):
@@ -156,12 +166,10 @@ def _run(
     sys.path[0] = ""
     sys.path[1:1] = [part for part in environment.get("PYTHONPATH", "").split(os.pathsep) if part not in sys.path]
     sys.argv = ["-c", *arguments]
-    for name, number, how in (("stdin", 0, "r"), ("stdout", 1, "w"), ("stderr", 2, "w")):
-        was = getattr(sys, f"__{name}__")
-        is_line = name == "stderr" or os.isatty(number) or "PYTHONUNBUFFERED" in environment
-        stream = open(number, how, 1 if is_line and how == "w" else -1, was.encoding, was.errors, closefd=False)  # noqa: SIM115
-        setattr(sys, name, stream)
-        setattr(sys, f"__{name}__", stream)
+    renew_streams()
+    if arguments[:1] in STARTING and (order := with_warm_helpers()):
+        exec(order["code"], {"__name__": "__main__"})
+        return None
     return main()
 
 

@@ -47,7 +47,3 @@ def main() -> None:
         sys.stdout.write("met\n")
         sys.stdout.flush()
         time.sleep(PATIENCE_S)
-
-
-if __name__ == "__main__":
-    main()

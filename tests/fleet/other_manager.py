@@ -17,22 +17,24 @@ from small_fleet import FOLDER, PATIENCE_S, RESULT, cold, eventually, seen, sour
 
 from cfgplan.domain import ChangeSet, Host
 
-behind_ns, time_ns = int(sys.argv[1]), time.time_ns
-time.time_ns = lambda: time_ns() - behind_ns
-hosts = sys.argv[2].split(",")
-run = RunFolder()
-link = linked(sys.argv[3:], None, PATIENCE_S)
-backend = lambda: FleetBackend(hosts, run, link, folder=FOLDER, wait_s=PATIENCE_S)  # noqa: E731
-with Runtime(backend=backend) as runtime:
-    work = unit("work.1", hosts[-1], topic="/result", x="count.1/n")
-    units = (unit("count.1", "r1"), work, cold("work.9", "r1"))
-    everywhere = tuple(Host(name) for name in hosts)
-    library = (source(), worker())
-    runtime.apply(ChangeSet(units, added_transformations=library, added_targets=(RESULT,), added_hosts=everywhere))
-    eventually(lambda: bool(seen(runtime, SparePrepared)))
-    sys.stdout.write("applied\n")
-    sys.stdout.flush()
-    eventually(lambda: bool(seen(runtime, HostLost)))
-    sys.stdout.write(f"{seen(runtime, HostLost)[0].cause}\n")
-    sys.stdout.flush()
-    time.sleep(PATIENCE_S)
+
+def main() -> None:
+    behind_ns, time_ns = int(sys.argv[1]), time.time_ns
+    time.time_ns = lambda: time_ns() - behind_ns
+    hosts = sys.argv[2].split(",")
+    run = RunFolder()
+    link = linked(sys.argv[3:], None, PATIENCE_S)
+    backend = lambda: FleetBackend(hosts, run, link, folder=FOLDER, wait_s=PATIENCE_S)  # noqa: E731
+    with Runtime(backend=backend) as runtime:
+        work = unit("work.1", hosts[-1], topic="/result", x="count.1/n")
+        units = (unit("count.1", "r1"), work, cold("work.9", "r1"))
+        everywhere = tuple(Host(name) for name in hosts)
+        library = (source(), worker())
+        runtime.apply(ChangeSet(units, added_transformations=library, added_targets=(RESULT,), added_hosts=everywhere))
+        eventually(lambda: bool(seen(runtime, SparePrepared)))
+        sys.stdout.write("applied\n")
+        sys.stdout.flush()
+        eventually(lambda: bool(seen(runtime, HostLost)))
+        sys.stdout.write(f"{seen(runtime, HostLost)[0].cause}\n")
+        sys.stdout.flush()
+        time.sleep(PATIENCE_S)

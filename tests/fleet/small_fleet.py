@@ -23,6 +23,7 @@ from cfgplan_runtime.fleet.local import LocalAgents
 from cfgplan_runtime.streams.run_folder import RunFolder, base_folder, remove_dead_runs
 from cfgplan_runtime.streams.subscription import RunPlace, SubscriptionToTopic
 from cfgplan_runtime.supervision.events import Event
+from warm_python import warm_subprocess
 
 from cfgplan.domain import (
     ChangeSet,
@@ -129,9 +130,9 @@ class SmallFleet:
 
         It has the cold spare work.9 on r1. Its clock is behind.
         """
-        code, hosts = str(FOLDER / "other_manager.py"), ",".join(self.agents.processes)
-        command = [sys.executable, code, str(behind_ns), hosts, *self.endpoints]
-        with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+        code, hosts = "import other_manager; other_manager.main()", ",".join(self.agents.processes)
+        line = [sys.executable, "-c", code, str(behind_ns), hosts, *self.endpoints]
+        with warm_subprocess("other_manager").Popen(line, stdout=subprocess.PIPE) as process:
             assert process.stdout is not None
             try:
                 assert process.stdout.readline() == b"applied\n"

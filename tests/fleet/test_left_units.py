@@ -15,7 +15,7 @@ from cfgplan_runtime.fleet.reached import ReachedFleet
 from cfgplan_runtime.operating.control_client import connect
 from cfgplan_runtime.streams.run_folder import base_folder, remove_dead_runs
 from small_fleet import FOLDER, PATIENCE_S, SmallFleet, eventually, small_fleet
-from warm import cold_command, command
+from warm import cold_command, command, warm_processes
 
 import cfgplan
 
@@ -49,7 +49,7 @@ def left(tmp_path: Path) -> Iterator[tuple[SmallFleet, Path]]:
     """A fleet on whose host a killed run has left count.1."""
     env = environment(tmp_path)
     with small_fleet("r1") as fleet:
-        with subprocess.Popen(cold_command(*run_of(fleet, env)), stdout=subprocess.PIPE, text=True) as run:
+        with warm_processes().Popen(cold_command(*run_of(fleet, env)), stdout=subprocess.PIPE) as run:
             assert run.stdout is not None
             eventually(lambda: "count.1" in fleet.units())
             with connect() as control:

@@ -16,6 +16,7 @@ from cfgplan_runtime.fleet.ways import ReachedAt, reach
 from cfgplan_runtime.streams.zenoh_link import Losses, Taken, ZenohLink, limit_unsent, taken
 from small_fleet import PATIENCE_S, eventually, free_port
 from test_local_run import CFGPLAN
+from warm import warm_processes
 
 from cfgplan.cli import main
 from cfgplan.errors import InputError
@@ -91,7 +92,7 @@ def test_of_two_agents_that_connect_to_each_other_one_ends_and_names_both(tmp_pa
         for name, other in (("r1", "r2"), ("r2", "r1")):
             ends = [f"--listen=tcp/127.0.0.1:{ports[name]}", f"--connect=tcp/localhost:{ports[other]}"]
             command = [*CFGPLAN, "agent", f"--name={name}", *ends, f"--folder={tmp_path}"]
-            agents[name] = stack.enter_context(subprocess.Popen(command, stderr=subprocess.PIPE, text=True))
+            agents[name] = stack.enter_context(warm_processes().Popen(command, stderr=subprocess.PIPE, text=True))
             stack.callback(agents[name].terminate)
         _, said = agents["r2"].communicate(timeout=PATIENCE_S)
         assert agents["r2"].returncode == 30
@@ -103,14 +104,15 @@ def test_of_two_agents_that_connect_to_each_other_one_ends_and_names_both(tmp_pa
 def test_an_agent_of_a_name_that_the_fleet_has_already_is_refused(tmp_path: Path) -> None:
     first, second = (f"tcp/127.0.0.1:{free_port()}" for _ in range(2))
     agent = [*CFGPLAN, "agent", "--name=r1", f"--folder={tmp_path}"]
-    with subprocess.Popen([*agent, f"--listen={first}"], stderr=subprocess.PIPE, text=True) as one:
+    with warm_processes().Popen([*agent, f"--listen={first}"], stderr=subprocess.PIPE, text=True) as one:
         try:
             assert one.stderr is not None and one.stderr.readline()
             patient = f"from cfgplan_runtime.fleet import agent; agent.LINK_S = {PATIENCE_S}; {CFGPLAN[2]}"
             command = [*CFGPLAN[:2], patient, *agent[3:], f"--listen={second}", f"--connect={first}"]
-            done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
-            assert done.returncode == 30
-            assert "the fleet has an agent 'r1' already" in done.stderr
+            with warm_processes().Popen(command, stderr=subprocess.PIPE, text=True) as other:
+                _, said = other.communicate(timeout=PATIENCE_S)
+            assert other.returncode == 30
+            assert "the fleet has an agent 'r1' already" in said
             assert one.poll() is None
         finally:
             one.terminate()
@@ -119,14 +121,15 @@ def test_an_agent_of_a_name_that_the_fleet_has_already_is_refused(tmp_path: Path
 def test_of_two_agents_of_one_name_that_meet_late_the_second_ends(tmp_path: Path) -> None:
     first, second = (f"tcp/127.0.0.1:{free_port()}" for _ in range(2))
     agent = [*CFGPLAN, "agent", "--name=r1", f"--folder={tmp_path}"]
-    with subprocess.Popen([*agent, f"--listen={first}"], stderr=subprocess.PIPE, text=True) as one:
+    with warm_processes().Popen([*agent, f"--listen={first}"], stderr=subprocess.PIPE, text=True) as one:
         try:
             assert one.stderr is not None and one.stderr.readline()
             late = f"from cfgplan_runtime.fleet.agent import Agent; Agent._refuse_twin = lambda *_: None; {CFGPLAN[2]}"
             command = [*CFGPLAN[:2], late, *agent[3:], f"--listen={second}", f"--connect={first}"]
-            done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
-            assert done.returncode == 30
-            assert "the fleet has an agent 'r1' that began earlier" in done.stderr
+            with warm_processes().Popen(command, stderr=subprocess.PIPE, text=True) as other:
+                _, said = other.communicate(timeout=PATIENCE_S)
+            assert other.returncode == 30
+            assert "the fleet has an agent 'r1' that began earlier" in said
             assert one.poll() is None
         finally:
             one.terminate()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import runpy
 import signal
 import subprocess
@@ -12,6 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from itertools import islice
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import psutil
@@ -24,7 +26,7 @@ from cfgplan_runtime.operating.control_client import Control, connect
 from cfgplan_runtime.operating.protocol import RefusedError
 from cfgplan_runtime.processes.cpu_group import CpuGroup
 from small_fleet import FOLDER, PATIENCE_S, eventually, small_fleet, source, unit
-from warm import command
+from warm import cold_command, command, warm_processes
 
 from cfgplan.domain import ChangeSet, Environment, Host
 
@@ -36,9 +38,11 @@ RESCUE = ROOT / "models" / "rescue" / "1-start.yaml"
 
 
 @contextmanager
-def local_run(path: Path) -> Iterator[subprocess.Popen[str]]:
-    command = [*CFGPLAN, "run", str(path), "--local", "--plain", "--no-estimates"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+def local_run(path: Path, starts: ModuleType | SimpleNamespace | None = None) -> Iterator[subprocess.Popen[str]]:
+    """A run whose imports and those of its agents are warm, unless `starts` is the module `subprocess`."""
+    line = cold_command("run", path, "--local", "--plain", "--no-estimates")
+    start = (starts or warm_processes()).Popen
+    with start(line, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
         try:
             yield process
         finally:
@@ -48,12 +52,15 @@ def local_run(path: Path) -> Iterator[subprocess.Popen[str]]:
 
 def agent_of(process: subprocess.Popen[str], host: str) -> psutil.Process:
     children = psutil.Process(process.pid).children()
-    (agent,) = (child for child in children if len(child.cmdline()) > 4 and child.cmdline()[4] == host)
+    (agent,) = (child for child in children if re.search(rf"main\(\) \d+ {host} ", " ".join(child.cmdline())))
     return agent
 
 
 def test_the_map_goes_on_when_a_host_is_given_up_and_when_an_agent_is_killed() -> None:
-    with local_run(START) as process, subscribe("/obstacles", wait_s=PATIENCE_S, timeout_s=PATIENCE_S) as maps:
+    with (
+        local_run(START, subprocess) as process,
+        subscribe("/obstacles", wait_s=PATIENCE_S, timeout_s=PATIENCE_S) as maps,
+    ):
         received = iter(maps)
         assert next(received).value, "obstacles are seen"
         with connect() as control:
@@ -210,7 +217,7 @@ def test_a_run_that_is_interrupted_while_it_waits_for_hosts_ends_as_that(tmp_pat
     patient = f"from cfgplan_runtime.fleet import fleet_runtime; fleet_runtime.WAIT_S = {PATIENCE_S}; {CFGPLAN[2]}"
     with small_fleet("r9") as fleet, ReachedFleet(fleet.endpoints) as reached:
         command = [*CFGPLAN[:2], patient, "run", str(env), f"--connect={fleet.endpoints[0]}", "--no-estimates"]
-        with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        with warm_processes().Popen(command, stderr=subprocess.PIPE, text=True) as process:
             eventually(lambda: bool(reached.runs))
             process.send_signal(signal.SIGINT)
             _, said = process.communicate(timeout=PATIENCE_S)

@@ -26,7 +26,7 @@ from cfgplan_runtime.streams.subscription import RunPlace, SubscriptionToTopic
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 from small_fleet import PATIENCE_S, Listener, SmallFleet, eventually, moved, small_fleet, source, swap, unit, worker
 from test_local_run import START, local_run
-from warm import command
+from warm import command, warm_processes
 
 from cfgplan.domain import ChangeSet
 from cfgplan.errors import InputError
@@ -142,7 +142,8 @@ def test_who_listens_and_is_gone_leaves_no_tunnel_behind(fleet: SmallFleet) -> N
         runtime.apply(ChangeSet(started=(COUNT, WORK)))
         agent = fleet.agents.processes["r1"].pid
         before = len(list(Path(f"/proc/{agent}/fd").iterdir()))
-        with subprocess.Popen([sys.executable, "-c", code, *fleet.endpoints], stdout=subprocess.PIPE) as listener:
+        line = [sys.executable, "-c", code, *fleet.endpoints]
+        with warm_processes().Popen(line, stdout=subprocess.PIPE) as listener:
             assert listener.stdout is not None and listener.stdout.readline() == b"heard\n"
             assert len(list(Path(f"/proc/{agent}/fd").iterdir())) > before
             listener.kill()

@@ -42,6 +42,7 @@ from small_fleet import (
     unit,
     worker,
 )
+from warm_python import warm_subprocess
 
 from cfgplan import __version__, api
 from cfgplan.api import matches
@@ -55,8 +56,8 @@ FAILED = Failures(WORK, "r1", 3, 200.0, "no camera")
 @contextmanager
 def killed_run(fleet: SmallFleet, note: Path) -> Iterator[None]:
     """A run whose worker has failed on r1 and runs on r2; its manager is killed, then the worker."""
-    command = [sys.executable, str(FOLDER / "failing_run.py"), str(note), *fleet.endpoints]
-    with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+    line = [sys.executable, "-c", "import failing_run; failing_run.main()", str(note), *fleet.endpoints]
+    with warm_subprocess("failing_run").Popen(line, stdout=subprocess.PIPE) as process:
         assert process.stdout is not None
         try:
             assert process.stdout.readline() == b"met\n"

@@ -17,7 +17,7 @@ from cfgplan_runtime.errors import ApplyError, RuntimeFaultError, StaleChangeSet
 from cfgplan_runtime.lifecycle.changes import Add, KillUnit
 from cfgplan_runtime.lifecycle.reports import Decision, Ended, Report
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
-from cfgplan_runtime.testing import Bench, Hosts, check_middleware
+from cfgplan_runtime.testing import CHECKS, ENDING_CHECKS, HOST_CHECKS, Bench, Hosts, check_middleware
 from real_bench import real_bench
 from real_run import PROGRAMS
 from simulated_life import RESULT, source, worker
@@ -396,6 +396,17 @@ def test_the_runtime_keeps_its_promises(
 
 def test_without_wires_a_middleware_is_checked_by_its_elements() -> None:
     check_middleware(partial(bench_of_nodelets, has_wires=False))
+
+
+def test_no_middleware_is_made_for_promises_that_its_bench_leaves_out() -> None:
+    made = []
+
+    def make(robot: FakeRobot) -> Any:
+        made.append(robot)
+        return nodelets(robot)
+
+    check_middleware(partial(bench_of_nodelets, make))
+    assert len(made) == len(CHECKS) - len(HOST_CHECKS) - len(ENDING_CHECKS)
 
 
 @pytest.mark.parametrize("has_wires", [True, False])

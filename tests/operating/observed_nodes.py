@@ -13,7 +13,8 @@ from cfgplan_runtime import Manager, Policy, Runtime
 from cfgplan_runtime.lifecycle.reports import Report, Reviewed
 from cfgplan_runtime.ros1.ros1_backend import Ros1Backend
 from cfgplan_runtime.ros2.ros2_backend import Ros2Backend
-from operated_world import PATIENCE_S, await_event, command, eventually, running
+from operated_world import PATIENCE_S, Call, await_event, command, eventually, running
+from warm import command as warm_command
 
 from cfgplan import load
 from cfgplan.domain import ChangeSet
@@ -106,9 +107,9 @@ def write_with_fact(folder: Path, nodes: Path, text: str = WITH_FACT) -> Path:
     return path
 
 
-def check_that_a_fact_is_followed(env: Path, health: Path, middleware: str) -> None:
+def check_that_a_fact_is_followed(env: Path, health: Path, middleware: str, call: Call = command) -> None:
     """A node that is not of the run says on `/diagnostics` what the file `health` says: whether a thruster works."""
-    with running("--middleware", middleware, env) as process:
+    with running("--middleware", middleware, env, call=call) as process:
         run = await_event(process, "Running")["run"]
         first = await_event(process, "Reviewed", decision="applied")
         assert [unit["transformation"] for unit in first["change_set"]["started"]] == ["strong"]
@@ -131,10 +132,10 @@ def write_finders(folder: Path, nodes: Path, field: str = "pose.covariance.0") -
     return path
 
 
-def check_that_a_bad_node_is_replaced(env: Path, middleware: str) -> None:
+def check_that_a_bad_node_is_replaced(env: Path, middleware: str, call: Call = command) -> None:
     """Run the sonar, let it say that it is worse than the bound, and compare what the run, ctl and solve make of it."""
     observed = env.with_name("observed.json")
-    with running("--middleware", middleware, env) as process:
+    with running("--middleware", middleware, env, call=call) as process:
         of_run = ("--run", await_event(process, "Running")["run"])
         eventually(lambda: json.loads(_said("ctl", *of_run, "observed", "--json"))["qualities"])
         env.with_name("water").write_text("0.8")
@@ -151,9 +152,9 @@ def check_that_a_bad_node_is_replaced(env: Path, middleware: str) -> None:
     assert solved["qualities"] == planned["qualities"]
 
 
-def check_that_diagnostics_are_learned(env: Path, middleware: str) -> None:
+def check_that_diagnostics_are_learned(env: Path, middleware: str, call: Call = command) -> None:
     """Let a node that is not of the run tell on `/diagnostics` that the sonar is worse than the bound."""
-    with running("--middleware", middleware, env) as process:
+    with running("--middleware", middleware, env, call=call) as process:
         of_run = ("--run", await_event(process, "Running")["run"])
         eventually(lambda: json.loads(_said("ctl", *of_run, "observed", "--json"))["qualities"])
         env.with_name("water").write_text("0.8")
@@ -164,12 +165,12 @@ def check_that_diagnostics_are_learned(env: Path, middleware: str) -> None:
         assert (told["output"], told["planned"] > 0.5) == ("sonar/p", True)
 
 
-def check_that_a_slow_node_is_replaced(folder: Path, nodes: Path, middleware: str) -> None:
+def check_that_a_slow_node_is_replaced(folder: Path, nodes: Path, middleware: str, call: Call = command) -> None:
     """A node that publishes 100 messages a second is to publish 180: the run measures it, and takes another."""
     shutil.copy(nodes, folder / "talking.py")
     env = folder / "env.yaml"
     env.write_text(_MEASURED)
-    with running("--middleware", middleware, env) as process:
+    with running("--middleware", middleware, env, call=call) as process:
         run = await_event(process, "Running")["run"]
         first = await_event(process, "Reviewed", decision="applied")
         applied = await_event(process, "Reviewed", decision="applied")
@@ -213,11 +214,11 @@ def check_that_a_look_brings_a_node_back(env: Path, backend: Callable[..., Ros1B
         assert [one.transformation for one in manager.snapshot().environment.units] == ["sonar"]
 
 
-def unsaid(env: Path, middleware: str) -> dict[str, str]:
+def unsaid(env: Path, middleware: str, call: Call = command) -> dict[str, str]:
     """Return the first failure that a run reports."""
-    with running("--middleware", middleware, env) as process:
+    with running("--middleware", middleware, env, call=call) as process:
         return await_event(process, "UnitFailed")
 
 
 def _said(*arguments: object) -> str:
-    return subprocess.run(command(*arguments), capture_output=True, text=True, check=True).stdout
+    return subprocess.run(warm_command(*arguments), capture_output=True, text=True, check=True).stdout

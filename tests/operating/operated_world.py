@@ -78,13 +78,18 @@ def write_world(folder: Path) -> Path:
     return path
 
 
+Call = Callable[..., list[str]]
+"""The command line of `cfgplan` for arguments: `command` or `cold_command` of tests/warm.py."""
+
+
 @contextmanager
-def running(*arguments: object, call: Callable[..., list[str]] = command) -> Iterator[subprocess.Popen[str]]:
-    """`cfgplan run --json`, once it runs; killed at the end if it still does."""
+def running(
+    *arguments: object, call: Call = command, start: Callable[..., Any] = subprocess.Popen
+) -> Iterator[subprocess.Popen[str]]:
+    """`cfgplan run --json`, once it runs; killed at the end if it still does. `start` may be that of warm processes."""
     estimates = () if "--estimates" in arguments else ("--no-estimates",)
     line = call("run", "--json", *estimates, *arguments)
-    process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    with process:
+    with start(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             yield process
         finally:

@@ -10,7 +10,7 @@ from cfgplan_runtime import subscribe
 from cfgplan_runtime.operating.control_client import connect
 from cfgplan_runtime.operating.protocol import RefusedError
 from cfgplan_runtime.streams.run_folder import base_folder, topics_of
-from operated_world import PATIENCE_S, await_event, eventually, running
+from operated_world import PATIENCE_S, Call, await_event, command, eventually, running
 
 from cfgplan.cli import main
 
@@ -24,9 +24,9 @@ def seen_on(topic: str) -> int:
         return int(next(iter(subscription)).value["data"].removesuffix("!"))
 
 
-def check_that_messages_are_shown(middleware: str, env: Path) -> None:
+def check_that_messages_are_shown(middleware: str, env: Path, call: Call = command) -> None:
     """Messages between nodes and on topics are shown while a peek lasts."""
-    with running("--middleware", middleware, env) as process:
+    with running("--middleware", middleware, env, call=call) as process:
         await_event(process, "Running")
         with connect() as control:
             first = seen_on(control.call("tap", stream="talker.1/words")["topic"])
@@ -43,8 +43,12 @@ def check_that_messages_are_shown(middleware: str, env: Path) -> None:
             eventually(lambda: topics_of(run) == [])
 
 
-def check_that_rates_are_measured(middleware: str, env: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
+def check_that_rates_are_measured(
+    middleware: str, env: Path, capsys: pytest.CaptureFixture[str], call: Call = command
+) -> None:
     """The rate of topics and of streams between nodes is measured."""
-    with running("--middleware", middleware, env) as process:
+    with running("--middleware", middleware, env, call=call) as process:
         await_event(process, "Running")
-        eventually(lambda: main(["ctl", "hz", name, "--for", "2500ms"]) == 0 and "Hz: " in capsys.readouterr().out)
+        for name in TOLD:
+            hz = ["ctl", "hz", name, "--for", "2500ms"]
+            eventually(lambda hz=hz: main(hz) == 0 and "Hz: " in capsys.readouterr().out)

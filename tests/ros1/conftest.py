@@ -10,10 +10,14 @@ import sys
 from pathlib import Path
 
 import pytest
+from cfgplan_runtime.nodes import node_process
+from cfgplan_runtime.processes import nursery_link
+from cfgplan_runtime.ros1 import ros_master
+from warm_nodes import PYTHON, SUBPROCESS, with_rospy
+from warm_python import warm_subprocess
 
 sys.path.append(str(Path(__file__).parents[1] / "operating"))
 sys.path.append(str(Path(__file__).parents[2] / "models" / "nao"))
-PYTHON = "/usr/bin/python3"
 
 
 def _lacks_ros() -> str:
@@ -43,3 +47,12 @@ def surroundings(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.M
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path_factory.mktemp("log")))
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+
+
+@pytest.fixture
+def warm_nodes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nodes of `talking.py`, masters and relays of this process are forks of processes that have imported theirs."""
+    with_rospy()
+    for module in (node_process, ros_master):
+        monkeypatch.setattr(module, "subprocess", SUBPROCESS)
+    monkeypatch.setattr(nursery_link, "subprocess", warm_subprocess("cfgplan_runtime.ros1.topic_relay"))

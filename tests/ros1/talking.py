@@ -119,7 +119,10 @@ def mute() -> None:
     sys.exit("has no voice")
 
 
+def main() -> None:
+    nodes = (talker, shouter, clock, mapper, oracle, asker, camera, finder, doctor, mute)
+    {each.__name__: each for each in nodes}[sys.argv[1]]()
+
+
 if __name__ == "__main__":
-    {each.__name__: each for each in (talker, shouter, clock, mapper, oracle, asker, camera, finder, doctor, mute)}[
-        sys.argv[1]
-    ]()
+    main()

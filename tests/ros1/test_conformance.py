@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
+import pytest
 from cfgplan_runtime import Runtime
 from cfgplan_runtime.ros1.ros1_backend import Ros1Backend
 from cfgplan_runtime.testing import Bench, check_middleware
@@ -29,6 +30,7 @@ SHOUTER = Transformation(
     source="node:./talking.py shouter",
 )
 MUTE = Transformation("mute", SHOUTER.inputs, SHOUTER.outputs, source="node:./talking.py mute")
+pytestmark = pytest.mark.usefixtures("warm_nodes")
 
 
 def answering_units() -> set[str]:

@@ -12,6 +12,7 @@ from subprocess import Popen
 import psutil
 import pytest
 from operated_world import await_event, eventually, running
+from warm import warm_processes
 from words import ENVIRONMENT, await_pid, listening, pid_of, write_words
 
 HANG = ENVIRONMENT.replace("params: {rate: 100", "run: {hang: 2}\n    params: {rate: 100")
@@ -21,7 +22,7 @@ HANG = ENVIRONMENT.replace("params: {rate: 100", "run: {hang: 2}\n    params: {r
 def run(tmp_path: Path) -> Iterator[Popen[str]]:
     path = write_words(tmp_path)
     path.write_text(HANG)
-    with running("--middleware", "ros1", path) as process:
+    with running("--middleware", "ros1", path, start=warm_processes().Popen) as process:
         await_event(process, "Running")
         yield process
         process.terminate()

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 from operated_world import await_event, eventually, running
+from warm import command
+from warm_nodes import start
 from words import listening, node_names
 
 from cfgplan.cli import main
@@ -40,10 +42,12 @@ def live(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ExitStack]
     (package / "echo.py").chmod(0o755)
     monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path))
     port = os.environ["ROS_MASTER_URI"].rpartition(":")[2]
+    master = start(["rosmaster", "--core", "-p", port], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     names = {"first": ("in:=nothing", "out:=words"), "second": ("in:=words", "out:=loud")}
-    commands = [["rosmaster", "--core", "-p", port]]
-    commands += [[str(package / "echo.py"), f"__name:={name}", "__ns:=lab", *more] for name, more in names.items()]
+    commands = [[str(package / "echo.py"), f"__name:={name}", "__ns:=lab", *more] for name, more in names.items()]
     with ExitStack() as stack:
+        stack.callback(master.wait)
+        stack.callback(master.kill)
         for command in commands:
             process = stack.enter_context(
                 subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -59,13 +63,14 @@ def _topics() -> set[str]:
     return set()
 
 
+@pytest.mark.usefixtures("warm_cfgplan")
 def test_an_imported_graph_runs_again_with_its_nodes_wired_as_they_were(live: ExitStack, tmp_path: Path) -> None:
     env = tmp_path / "robot.yaml"
     assert main(["import", "ros1", "live", "--works", "--out", str(env)]) == 0
     live.close()
     text = env.read_text()
     env.write_text(text[: text.index("units:")] + text[text.index("targets:") :])
-    with running("--middleware", "ros1", env) as process:
+    with running("--middleware", "ros1", env, call=command) as process:
         await_event(process, "Running")
         assert {"/lab_first_1", "/lab_second_1"} <= node_names()
         with listening("/lab_second_1/out/loud") as words:

@@ -36,9 +36,12 @@ from cfgplan.ros.node_api import SilentError
 
 LIBRARIES = sorted(Path("/usr/lib").glob("*/libimage_proc.so.*"))
 HAS_NODELETS = Path("/usr/lib/nodelet/nodelet").exists() and LIBRARIES
-pytestmark = pytest.mark.skipif(
-    not HAS_NODELETS, reason="no nodelets here (Debian: apt install libnodeletlib-tools ros-image-proc)"
-)
+pytestmark = [
+    pytest.mark.skipif(
+        not HAS_NODELETS, reason="no nodelets here (Debian: apt install libnodeletlib-tools ros-image-proc)"
+    ),
+    pytest.mark.usefixtures("warm_nodes"),
+]
 PACKAGE = """\
 <package>
   <name>eyes</name><version>1.0.0</version><description>Eyes</description>

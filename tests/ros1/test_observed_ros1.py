@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
+import pytest
 from cfgplan_runtime.ros1.ros_master import RosMaster
 from observed_nodes import (
     WITH_FACT,
@@ -18,21 +19,24 @@ from observed_nodes import (
     write_finders,
     write_with_fact,
 )
-from operated_world import await_event, command, running
-from words import NODES
+from operated_world import await_event, running
+from warm import command
+from warm_nodes import NODES, start
+
+pytestmark = pytest.mark.usefixtures("warm_cfgplan", "warm_nodes")
 
 
 def test_a_node_that_says_it_is_worse_than_its_bound_is_replaced_and_solve_agrees(tmp_path: Path) -> None:
-    check_that_a_bad_node_is_replaced(write_finders(tmp_path, NODES), "ros1")
+    check_that_a_bad_node_is_replaced(write_finders(tmp_path, NODES), "ros1", command)
 
 
 def test_a_node_that_is_measured_to_be_slower_than_its_bound_is_replaced(tmp_path: Path) -> None:
-    check_that_a_slow_node_is_replaced(tmp_path, NODES, "ros1")
+    check_that_a_slow_node_is_replaced(tmp_path, NODES, "ros1", command)
 
 
 def test_a_field_that_messages_do_not_have_is_reported_with_its_output_and_file(tmp_path: Path) -> None:
     env = write_finders(tmp_path, NODES, "pose.variance")
-    told = unsaid(env, "ros1")
+    told = unsaid(env, "ros1", command)
     assert (told["unit"], told["what"]) == ("sonar.1", "no quality")
     assert "output p does not say its error" in told["text"]
     assert "geometry_msgs/PoseWithCovariance has no field `variance`; it has pose, covariance" in told["text"]
@@ -48,13 +52,13 @@ def doctor(water: Path) -> AbstractContextManager[None]:
 def outsider(node: str, *arguments: str) -> Iterator[None]:
     """A master, and a node of nobody's run."""
     master = RosMaster()
-    line = ["/usr/bin/python3", str(NODES), node, *arguments]
     try:
-        with subprocess.Popen(line, env=dict(master.environment)) as process:
-            try:
-                yield
-            finally:
-                process.kill()
+        process = start([str(NODES), node, *arguments], env=dict(master.environment))
+        try:
+            yield
+        finally:
+            process.kill()
+            process.wait()
     finally:
         master.close()
 
@@ -63,27 +67,30 @@ def test_diagnostics_say_which_nodes_may_run(tmp_path: Path) -> None:
     health = tmp_path / "left"
     health.write_text("True")
     with doctor(health):
-        check_that_a_fact_is_followed(write_with_fact(tmp_path, NODES), health, "ros1")
+        check_that_a_fact_is_followed(write_with_fact(tmp_path, NODES), health, "ros1", command)
 
 
 def test_diagnostics_tell_that_a_node_is_worse_than_its_bound(tmp_path: Path) -> None:
     env = write_finders(tmp_path, NODES, "diagnostics.thrusters.left")
     with doctor(tmp_path / "water"):
-        check_that_diagnostics_are_learned(env, "ros1")
+        check_that_diagnostics_are_learned(env, "ros1", command)
 
 
 def test_a_fact_of_another_message_type_than_that_of_its_topic_is_reported(tmp_path: Path) -> None:
     health = tmp_path / "left"
     health.write_text("True")
     env = write_with_fact(tmp_path, NODES, WITH_FACT.replace("DiagnosticArray", "KeyValue"))
-    with doctor(health), running("--middleware", "ros1", env) as process:
+    with doctor(health), running("--middleware", "ros1", env, call=command) as process:
         told = await_event(process, "Warning")["text"]
     assert "diagnostic_msgs/DiagnosticArray, not diagnostic_msgs/KeyValue: correct the `type` of its fact" in told
 
 
 def test_diagnostics_of_another_message_type_are_reported_and_no_fact_is_blamed(tmp_path: Path) -> None:
     env = write_finders(tmp_path, NODES, "diagnostics.thrusters.left")
-    with outsider("talker", "chatter:=/diagnostics", "_rate:=10"), running("--middleware", "ros1", env) as process:
+    with (
+        outsider("talker", "chatter:=/diagnostics", "_rate:=10"),
+        running("--middleware", "ros1", env, call=command) as process,
+    ):
         told = await_event(process, "Warning")["text"]
     assert "/diagnostics is of type std_msgs/String, not diagnostic_msgs/DiagnosticArray" in told
     assert "let its publisher use another topic" in told and "fact" not in told

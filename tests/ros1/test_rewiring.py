@@ -30,6 +30,7 @@ from cfgplan.domain import (
     Transformation,
 )
 
+pytestmark = pytest.mark.usefixtures("warm_nodes")
 CLOCK = Transformation("clock", (), (OutputPort("ticks", "Tick"),), source="node:./talking.py clock")
 SHOUTER = Transformation(
     "shouter",

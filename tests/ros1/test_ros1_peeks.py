@@ -5,16 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from peeked_nodes import TOLD, check_that_messages_are_shown, check_that_rates_are_measured
+from peeked_nodes import check_that_messages_are_shown, check_that_rates_are_measured
+from warm import command
 from words import write_words
+
+pytestmark = pytest.mark.usefixtures("warm_cfgplan")
 
 
 def test_messages_between_nodes_and_on_topics_are_shown_while_somebody_looks(tmp_path: Path) -> None:
-    check_that_messages_are_shown("ros1", write_words(tmp_path))
+    check_that_messages_are_shown("ros1", write_words(tmp_path), command)
 
 
-@pytest.mark.parametrize("name", TOLD)
 def test_the_rate_of_topics_and_of_streams_between_nodes_is_measured(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    check_that_rates_are_measured("ros1", write_words(tmp_path), name, capsys)
+    check_that_rates_are_measured("ros1", write_words(tmp_path), capsys, command)

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import os
-import subprocess
 from contextlib import suppress
 from itertools import islice
 from pathlib import Path
+from subprocess import DEVNULL
 
 import psutil
 import pytest
 from operated_world import await_event, eventually, running
+from warm import command, warm_processes
+from warm_nodes import start
 from words import ENVIRONMENT, listening, node_names, write_words
 
 from cfgplan.cli import main
@@ -42,27 +44,28 @@ def test_nodes_are_started_connected_and_stopped_and_nothing_is_left(env: Path) 
         master_graph()
 
 
+@pytest.mark.usefixtures("warm_cfgplan")
 def test_a_master_that_is_there_is_used_and_knows_nothing_of_the_run_afterwards(
     env: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("ROS_NAMESPACE", "elsewhere")  # names of nodes are the run's
     address = os.environ["ROS_MASTER_URI"]
-    command = ["rosmaster", "--core", "-p", address.rpartition(":")[2]]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as master:
-        try:
-            eventually(is_answered)
-            before = asked(peer(address), "/test", "getSystemState")
-            with running("--middleware", "ros1", env) as process:
-                await_event(process, "Running")
-                with listening("/shout") as shouts:
-                    next(shouts)
-                assert {"/talker_1", "/shouter_1"} <= node_names()
-                process.terminate()
-                process.communicate()
-            assert process.returncode == 0
-            assert asked(peer(address), "/test", "getSystemState") == before
-        finally:
-            master.kill()
+    master = start(["rosmaster", "--core", "-p", address.rpartition(":")[2]], stdout=DEVNULL, stderr=DEVNULL)
+    try:
+        eventually(is_answered)
+        before = asked(peer(address), "/test", "getSystemState")
+        with running("--middleware", "ros1", env, call=command) as process:
+            await_event(process, "Running")
+            with listening("/shout") as shouts:
+                next(shouts)
+            assert {"/talker_1", "/shouter_1"} <= node_names()
+            process.terminate()
+            process.communicate()
+        assert process.returncode == 0
+        assert asked(peer(address), "/test", "getSystemState") == before
+    finally:
+        master.kill()
+        master.wait()
 
 
 def is_answered() -> bool:
@@ -73,7 +76,7 @@ def is_answered() -> bool:
 
 
 def test_nothing_is_left_of_a_run_that_is_killed(env: Path) -> None:
-    with running("--middleware", "ros1", env) as process:
+    with running("--middleware", "ros1", env, start=warm_processes().Popen) as process:
         await_event(process, "Running")
         with listening("/shout") as shouts:
             next(shouts)

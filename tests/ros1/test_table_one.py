@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 from football import scenario
 from operated_world import await_event, eventually, running
+from warm import command
 from words import await_pid, messages, node_names, pid_of
 
 NAO = Path(__file__).parents[2] / "models" / "nao"
@@ -35,8 +36,9 @@ def nao(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return path
 
 
+@pytest.mark.usefixtures("warm_cfgplan")
 def test_table_one_runs_as_nodes_is_mended_and_goes_over_to_the_fusion(nao: Path) -> None:
-    with running("--middleware", "ros1", nao) as process:
+    with running("--middleware", "ros1", nao, call=command) as process:
         await_event(process, "Running")
         with messages("/result") as received:
             errors = errors_of(received)

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from operated_world import eventually
 from terminals import Terminals, write_cfgplan
+from warm import command
 from words import node_names
 
 from cfgplan.errors import InputError
@@ -41,12 +42,12 @@ def there() -> set[str]:
 @pytest.fixture
 def terminals(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Terminals]:
     programs = tmp_path / "bin"
-    write_cfgplan(programs)
+    write_cfgplan(programs, command())
     port = os.environ["ROS_MASTER_URI"].rpartition(":")[2]
     (programs / "roscore").write_text(f"#!/bin/sh\nexec {shutil.which('roscore')} -p {port}\n")
     (programs / "roscore").chmod(0o755)
     monkeypatch.setenv("PATH", f"{programs}:{os.environ['PATH']}")
-    made = Terminals(tmp_path, await_begun, ("cfgplan ctl state",))
+    made = Terminals(tmp_path, await_begun, ("cfgplan ctl state",), runs_are_warm=True)
     yield made
     made.close()
 

@@ -11,11 +11,11 @@ from pathlib import Path
 
 from cfgplan_runtime.ros1.tcpros import MessageReader, subscribed
 from operated_world import PATIENCE_S, eventually
+from warm_nodes import NODES
 
 from cfgplan.ros.master import master_graph
 from cfgplan.ros.node_api import SilentError, asked, peer
 
-NODES = Path(__file__).with_name("talking.py")
 ENVIRONMENT = """\
 format: cfgplan/1
 transformations:

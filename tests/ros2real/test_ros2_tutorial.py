@@ -11,6 +11,7 @@ from operated_world import eventually
 from ros2_venv import PYTHON
 from ros2_words import observing
 from terminals import Terminals, write_cfgplan
+from warm import cold_command
 
 PAGE = Path(__file__).parents[2] / "cfgplan" / "manual" / "ros2_tutorial.md"
 BEGUN = {"./robot.py lidar": "/lidar", "./robot.py guard": "/guard", "cfgplan run healing.yaml": "/guard_1"}
@@ -23,7 +24,7 @@ ASKED_AGAIN = ("cfgplan import", "cfgplan check", "cfgplan ctl state", "./robot.
 @pytest.fixture
 def terminals(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Terminals]:
     programs = tmp_path / "bin"
-    write_cfgplan(programs)
+    write_cfgplan(programs, cold_command())
     monkeypatch.setenv("PATH", f"{programs}:{PYTHON.parent}:{os.environ['PATH']}")
     made = Terminals(tmp_path, await_begun, ASKED_AGAIN)
     yield made
