@@ -30,7 +30,8 @@ TEMPLATES: Mapping[str, _Template] = MappingProxyType(
             (
                 "cfgplan solve ENV",
                 "cfgplan solve ENV --without thermometer",
-                "cfgplan run ENV          and in another terminal: cfgplan listen /fire",
+                "cfgplan run ENV",
+                "cfgplan listen /fire          # in another terminal",
                 "cfgplan help tutorial",
             ),
         ),
@@ -38,7 +39,8 @@ TEMPLATES: Mapping[str, _Template] = MappingProxyType(
             "a robot that drives on the better of two positions, by their quality",
             (
                 "cfgplan solve ENV",
-                "cfgplan run ENV          and in another terminal: cfgplan listen /cmd_vel, cfgplan ctl observed",
+                "cfgplan run ENV",
+                "cfgplan listen /cmd_vel          # in another terminal; also cfgplan ctl observed",
                 "cfgplan ctl kill scan_matcher.1",
                 "cfgplan help observed",
             ),
@@ -47,7 +49,8 @@ TEMPLATES: Mapping[str, _Template] = MappingProxyType(
             "rooms with a thermostat each, by templates",
             (
                 "cfgplan solve ENV",
-                "cfgplan run ENV          and in another terminal: cfgplan listen /boiler",
+                "cfgplan run ENV",
+                "cfgplan listen /boiler          # in another terminal",
                 "cfgplan help mqtt",
             ),
         ),
@@ -55,7 +58,8 @@ TEMPLATES: Mapping[str, _Template] = MappingProxyType(
             "two robots and a base station, with spares for every unit",
             (
                 "cfgplan solve ENV",
-                "cfgplan run ENV --local  (extra `fleet`) and in another terminal: cfgplan listen /map",
+                "cfgplan run ENV --local          # needs the extra `fleet`",
+                "cfgplan listen /map          # in another terminal",
                 "cfgplan ctl kill merger.1",
                 "cfgplan help hosts",
             ),

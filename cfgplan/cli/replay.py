@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 
 _REPLAY_EXAMPLE = """\
 example:
-  cfgplan replay run.mcap                           (plays its topics, for `cfgplan listen`)
-  cfgplan replay run.mcap detector.yaml --speed 4   (its topics feed the units of detector.yaml)
-  cfgplan replay run.mcap --out recorded.yaml       (sources to include, or for `cfgplan ctl add`)
-  cfgplan replay run.mcap --extract again           (the run's environment: plan it, run it again)
+  cfgplan replay run.mcap                           # plays its topics, for `cfgplan listen`
+  cfgplan replay run.mcap detector.yaml --speed 4   # its topics feed the units of detector.yaml
+  cfgplan replay run.mcap --out recorded.yaml       # sources to include, or for `cfgplan ctl add`
+  cfgplan replay run.mcap --extract again           # the run's environment: plan it, run it again
 
 Exit codes: those of `cfgplan run`."""
 _BEGINS_S = 3.0
