@@ -253,6 +253,9 @@ def _mend_of_command(asked: str) -> str | None:
 
     if Path(asked).suffix in SUFFIXES:
         return f"write a command before the file, such as `cfgplan solve {asked}`"
+    if (meant := next((verb for verb, words in _SYNONYMS.items() if asked in words), None)) is not None:
+        live = f", or `cfgplan ctl {asked}` for a live run" if asked in NAMES else ""
+        return f"write `cfgplan {meant}`{live}"
     if (live := _MEANT.get(asked, asked)) in NAMES:
         return f"write `cfgplan ctl {live}`: it is a command for a live run"
     return did_you_mean(asked, VERBS, "cfgplan --help lists the commands")
@@ -326,6 +329,21 @@ _MOST_CHOICES = 8
 _CHOICE = re.compile(r"invalid choice: '(.*)' \(choose from (.*)\)")
 _MEANT = {"explain": "why", "ps": "state", "quit": "stop", "status": "state"}
 """Words of other programs for commands of `cfgplan ctl`."""
+_SYNONYMS = MappingProxyType(
+    {
+        "solve": ("plan", "optimise", "optimize", "compose"),
+        "check": ("validate", "verify", "lint", "test", "doctor"),
+        "graph": ("draw", "show", "picture", "dot", "visualise", "visualize"),
+        "run": ("start", "up", "launch", "execute", "exec"),
+        "listen": ("echo", "subscribe", "sub"),
+        "replay": ("play", "bag"),
+        "init": ("new", "create", "template", "templates", "example"),
+        "help": ("manual", "man", "doc", "docs"),
+        "export": ("convert", "dump", "schema"),
+        "compare": ("bench", "benchmark"),
+    }
+)
+"""Words of other programs for commands."""
 _READ = ("env", "envs", "also", "path", "plan", "guesses", "features")
 _WRITTEN = ("out", "plot", "log", "record")
 

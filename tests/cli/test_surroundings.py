@@ -18,6 +18,7 @@ from warm import cold_command, command
 
 from cfgplan import extras
 from cfgplan.cli.interrupts import Interrupts, ended_cleanly
+from cfgplan.cli.main import _SYNONYMS, VERBS
 from cfgplan.planners import cpsat
 
 NAO = MODELS / "nao"
@@ -78,6 +79,26 @@ def test_a_misspelt_verb_is_told_the_nearest_one(run: Run) -> None:
     err = run("slove", UNMET).err
     assert err.startswith("error: there is no command `slove`\n    $ cfgplan slove ")
     assert "\n              ^^^^^\n       did you mean `solve`?" in err
+
+
+@pytest.mark.parametrize(
+    ("word", "mend"),
+    [
+        ("manual", "write `cfgplan help`"),
+        ("new", "write `cfgplan init`"),
+        ("validate", "write `cfgplan check`"),
+        ("plan", "write `cfgplan solve`, or `cfgplan ctl plan` for a live run"),
+        ("status", "write `cfgplan ctl state`: it is a command for a live run"),
+    ],
+)
+def test_a_verb_of_another_program_is_told_what_it_is_called_here(run: Run, word: str, mend: str) -> None:
+    assert run(word).err.splitlines()[-1].strip() == mend
+
+
+def test_no_word_of_another_program_hides_a_verb() -> None:
+    words = [word for words in _SYNONYMS.values() for word in words]
+    assert len({*words, *VERBS}) == len(words) + len(VERBS)
+    assert _SYNONYMS.keys() <= VERBS.keys()
 
 
 def test_a_terminal_without_unicode_gets_escapes_and_json_is_utf_8_everywhere() -> None:
