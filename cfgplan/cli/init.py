@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -106,7 +107,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         api.write_file(folder / path.name, path.read_bytes())
         if path.read_bytes().startswith(b"#!"):
             (folder / path.name).chmod(0o755)
-    env = str(folder / "env.yaml")
+    env = shlex.quote(str(folder / "env.yaml"))
     steps = "".join(f"  {step.replace('ENV', env)}\n" for step in TEMPLATES[template].next)
     if options.template is None and template != folder.name and (other := close_names(folder.name, TEMPLATES)):
         steps += f"This is the template `{template}`; `cfgplan init FOLDER --template {other[0]}` writes another one.\n"

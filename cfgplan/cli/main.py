@@ -7,6 +7,7 @@ import contextlib
 import io
 import os
 import re
+import shlex
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import partial
@@ -252,7 +253,7 @@ def _mend_of_command(asked: str) -> str | None:
     from cfgplan.formats.files import SUFFIXES
 
     if Path(asked).suffix in SUFFIXES:
-        return f"write a command before the file, such as `cfgplan solve {asked}`"
+        return f"write a command before the file, such as `cfgplan solve {shlex.quote(asked)}`"
     if (meant := next((verb for verb, words in _SYNONYMS.items() if asked in words), None)) is not None:
         live = f", or `cfgplan ctl {asked}` for a live run" if asked in NAMES else ""
         return f"write `cfgplan {meant}`{live}"

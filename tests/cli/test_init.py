@@ -50,11 +50,26 @@ def test_the_examples_of_all_commands_can_be_pasted_as_they_are_printed() -> Non
 
 @pytest.mark.parametrize("template", TEMPLATES)
 def test_the_next_steps_can_be_pasted_as_they_are_printed(template: str, run: Run, tmp_path: Path) -> None:
-    told = run("init", tmp_path / "new", "--template", template).out
+    told = run("init", tmp_path / "my new", "--template", template).out
     steps = [shlex.split(line, comments=True) for line in told.splitlines() if line.startswith("  cfgplan ")]
     assert steps
     for _, *arguments in steps:
-        parser_of(arguments).parse_args(arguments)
+        options = parser_of(arguments).parse_args(arguments)
+        assert Path(getattr(options, "env", tmp_path)).exists()
+
+
+@pytest.mark.parametrize("arguments", [["my env.yaml"], ["suggest", "my env.yaml"], ["ontology", "new", "my own.yaml"]])
+def test_a_command_in_a_mend_names_a_file_with_a_space_in_quotes(
+    arguments: list[str], run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("my env.yaml").write_text("format: cfgplan/1\ntransformations: [{label: a, outputs: {x: X}}]\n")
+    Path("x.ttl").write_text("<x#X> a <http://www.w3.org/2002/07/owl#Class> .\n")
+    Path("my own.yaml").write_text("format: cfgplan/1\nontology: x.ttl\n")
+    told = run(*arguments)
+    assert told.code == 30
+    _, *advised = shlex.split(told.err.splitlines()[-1].split("`")[1])
+    assert Path(parser_of(advised).parse_args(advised).env).exists()
 
 
 def test_nothing_is_overwritten(run: Run, tmp_path: Path) -> None:
