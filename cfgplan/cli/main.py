@@ -129,6 +129,8 @@ def _main(arguments: Sequence[str], ending: Ending) -> int:
 
 def _tell(error: CfgplanError | ModuleNotFoundError, screen: Screen, env: str | None) -> None:
     """Show a fault of the input, the command line or the installation."""
+    from cfgplan_runtime.errors import RuntimeFaultError
+
     from cfgplan.planning import OwnPlannerError
 
     match error:
@@ -138,6 +140,8 @@ def _tell(error: CfgplanError | ModuleNotFoundError, screen: Screen, env: str | 
             screen.faults([Fault(f"the package {error.name} is not installed", mend=install(error.name or ""))])
         case OwnPlannerError(mend=mend):
             screen.faults([Fault(str(error), mend=mend)])
+        case RuntimeFaultError():  # of the run's surroundings, not of its file
+            screen.faults([Fault(str(error))])
         case _:
             screen.faults([Fault(str(error), file=env)])
 

@@ -182,6 +182,20 @@ def test_a_run_names_a_missing_extra_before_it_plans(
         assert run("run", FUSION, *options, "--dry-run").code == 0
 
 
+def test_a_folder_that_can_not_hold_a_run_is_named_and_not_the_environment_file(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run("init", tmp_path / "kitchen")
+    too_long = tmp_path / ("x" * 99)
+    for folder, told in (("/dev/null", "can't hold the run's sockets: Not a directory"), (too_long, "too long a name")):
+        monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
+        ended = run("run", tmp_path / "kitchen" / "env.yaml", "--for", "1s", "--no-estimates")
+        assert ended.code == 30
+        assert f"error: {folder}/cfgplan: {told}" in ended.err
+        assert "set XDG_RUNTIME_DIR to a" in ended.err
+        assert "^" not in ended.err
+
+
 def test_a_package_that_is_missing_is_named(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pygraphviz", None)
     result = run("graph", FUSION)
