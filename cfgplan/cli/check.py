@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import Exit
@@ -108,7 +108,7 @@ def _faults(
     options: argparse.Namespace, screen: Screen, env: str | None = None
 ) -> tuple[World, tuple[WiringFault, ...], tuple[str, ...]]:
     """Return the world of the file `env` (by default the file of the options), its faults, and its oddities: limits of
-    observations, states that two units would save, and selectors that choose no host.
+    observations, states that two units would save or none can, and selectors that choose no host.
     """
     from cfgplan import answers, api
     from cfgplan.explaining import probable_first
@@ -127,7 +127,8 @@ def _faults(
         reasoning = {"reasoner": options.reasoner, "reasoner_limit_s": options.reasoner_timeout}
         found = answers.wiring_faults(world, problem, **reasoning)
         noisy = (*blurred(world.environment, problem.similarity), *hidden(world.environment, problem.similarity))
-        noisy = (*noisy, *double_owners(world.environment), *shared_states(problem), *_idle(world.environment))
+        noisy = (*noisy, *double_owners(world.environment), *shared_states(problem))
+        noisy = (*noisy, *_idle(world.environment), *_stateless(world.environment))
         return world, tuple(sorted([*ros_faults(world.environment), *found], key=probable_first)), noisy
 
 
@@ -151,6 +152,17 @@ def _idle(environment: Environment) -> Iterator[str]:
         yield from (f"{told(end)}: it limits no units of {each.label}" for end in each.at_most if is_idle(end))
         if each.on is not None and is_idle(each.on):
             yield f"{told(each.on)}: {each.label} may run nowhere"
+
+
+def _stateless(environment: Environment) -> Iterator[str]:
+    """The programs and ROS nodes that are told to keep a state, as only units of Python code can."""
+    from cfgplan.ros.sources import NodeKind
+
+    for each in environment.library:
+        scheme, _, rest = (each.source or "").partition(":")
+        is_python = scheme != "program" and (scheme not in get_args(NodeKind) or "/" not in rest)
+        if each.state_name is not None and not is_python:
+            yield f"{each.label} keeps no state: `run: {{state: ...}}` has an effect only on Python code"
 
 
 def _text(world: World, fault: WiringFault) -> Text:
