@@ -148,8 +148,9 @@ def what_if(
     settings: Mapping[str, str] | None = None,
     observed: str | os.PathLike[str] | None = None,
 ) -> World:
-    """Return the world without some transformations, units or targets (`without` has their names), and with other
-    values of `settings`.
+    """Return the world without some transformations, units or targets, and with other values of `settings`.
+
+    `without` has their names; a name of several kinds follows its kind, as in `target heat`.
 
     Settings are `horizon`, `max_cost`, `facts.NAME`, `T.labor`, `T.upkeep`, `T.pinned`, `T.required` and `T.priority`,
     with values as they are written in files. `observed` is a file with the facts and qualities that a run has observed

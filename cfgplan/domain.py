@@ -743,11 +743,14 @@ class Environment:
         """The host of a unit; None if it has none that is known."""
         return None if unit.host is None else self.host.get(unit.host)
 
-    def update(self, change_set: ChangeSet) -> Environment:
+    def update(self, change_set: ChangeSet | None) -> Environment:
         """The environment after the update by `change_set` (Definition 7): additions, then removals.
 
-        Raises InvalidValueError if a unit to rewire or stop does not run or one to start does.
+        Raises InvalidValueError if a unit to rewire or stop does not run or one to start does, and if there is no
+        change set, as in a plan that found none.
         """
+        if change_set is None:
+            raise InvalidValueError("there is no change set: no plan was found, and its `reasons` say why")
         for unit in change_set.started:
             if unit.id in self.unit:
                 raise InvalidValueError(f"unit {unit.id!r} can't be started: it runs already")

@@ -381,7 +381,13 @@ class _RequirementReader(ExpressionReader[Requirement]):
     def _mend_here(self, usual: str) -> str:
         if self._written()[:1] in _NO_SIGNS:
             return f"compare by {', '.join(_SIGNS)} or ==; write `not NAME == VALUE` for values that differ"
-        return usual
+        return self._mend_of_unit(self._at - 1) or super()._mend_here(usual)
+
+    def _mend_of_unit(self, at: int) -> str | None:
+        """Return the mend if a number begins at a token; else None."""
+        start = [found.start() for found in self._token.finditer(self._text)][at]
+        number = _NUMBER.match(self._text, start)
+        return f"write the number without its unit: {number[0]}" if number else None
 
     def other(self, token: str) -> Requirement:
         fact, sign, value = self._name(token, self._at - 1), "==", "true"
@@ -398,9 +404,8 @@ class _RequirementReader(ExpressionReader[Requirement]):
             message, _, mend = str(error).partition(": ")
             raise self._error(message, mend, self._at - 1) from None
         if sign in _SIGNS and kind_of(comparison.value) != "a number":
-            raise self._error(
-                f"{value!r} is not a number", f"only == takes a word; {sign} takes a number", self._at - 1
-            )
+            mend = self._mend_of_unit(self._at - 1) or f"only == takes a word; {sign} takes a number"
+            raise self._error(f"{value!r} is not a number", mend, self._at - 1)
         return Requirement((comparison,), lambda values: None if comparison.holds(values[fact]) else (fact,))
 
 

@@ -32,6 +32,8 @@ KEYWORDS: Final = RESTRICTIONS.union(
     word for words in (_JOINING, _NEGATING, QUANTIFYING) for word in words if word.isalpha()
 )
 """The words that mean more than a name in a tag."""
+_WORD: Final = re.compile(r"(?<![∃∀\w])\w[^\s(){},'<>=]*")
+"""A text that may be meant as one name, although it has signs of other meaning."""
 _NO_OPERAND: Final = frozenset("⊓⊔.,)}")
 
 Meaning = TypeVar("Meaning")
@@ -94,7 +96,16 @@ class ExpressionReader(ABC, Generic[Meaning]):
 
     def _mend_here(self, usual: str) -> str:
         """Return the mend for a next token that can't follow the last one."""
-        return usual
+        word = self._word_around()
+        return f"write a name with such signs in quotes: \"'{word}'\"" if word else usual
+
+    def _word_around(self) -> str | None:
+        """Return the text without spaces that the next token is inside of; None if the token begins or ends it."""
+        starts = [found.start() for found in self._token.finditer(self._text)]
+        if self._at >= len(starts):
+            return None
+        words = ((word.start(), word.end(), word[0]) for word in _WORD.finditer(self._text))
+        return next((word for start, end, word in words if start < starts[self._at] < end), None)
 
     def _or_list(self) -> Meaning:
         return self._joined("⊔", self._and_list, self.any_of)
@@ -216,7 +227,6 @@ def _compiled(more: str, marks: str) -> re.Pattern[str]:
     return re.compile(more + _TOKEN.format("\\w" + marks))
 
 
-_WORD: Final = re.compile(r"[^\s()]+")
 Selector = Callable[[Collection[str]], bool]
 """Whether some labels fit."""
 
@@ -238,15 +248,6 @@ def check_selector(text: str) -> None:
 class _SelectorReader(ExpressionReader[Selector]):
     what = "selector"
     wanted = examples = "a label"
-
-    def _mend_here(self, usual: str) -> str:
-        if self._at >= len(self._tokens) - 1:
-            return usual
-        column = [found.start() for found in self._token.finditer(self._text)][self._at]
-        word = next((word for word in _WORD.finditer(self._text) if word.start() < column < word.end()), None)
-        if word is None:
-            return usual
-        return f"write a name with such signs in quotes: \"'{word[0]}'\""
 
     def top(self, _: Collection[str]) -> bool:
         return True

@@ -98,8 +98,10 @@ class Target:
             object.__setattr__(self, "tag", f"{A_UNIT_OF}{self.run}")
             if self.topic or self.quality or self.host is not None or self.type is not None:
                 raise InvalidValueError(
-                    f"target {self.label!r} wants no stream: it has no topic, type, quality or host"
+                    f"target {self.label!r} has `run`, so it can have no topic, type, quality or host"
                 )
+        elif not self.topic:
+            raise InvalidValueError(f"target {self.label!r} has neither a topic nor `run`")
         if self.quality:
             store_sorted(self, "quality", self.quality, attrgetter("attribute"))
             refuse_duplicates(f"quality attribute of target {self.label!r}", [q.attribute for q in self.quality])

@@ -137,3 +137,16 @@ def test_costs_and_horizons_are_whole_numbers(value: object) -> None:
 
 def test_a_whole_number_of_another_library_becomes_an_int() -> None:
     assert type(Transformation("a", labor_us=numpy.int64(3)).labor_us) is int
+
+
+def test_a_plan_without_a_change_set_can_not_be_carried_out() -> None:
+    with pytest.raises(InvalidValueError, match="there is no change set: no plan was found"):
+        Environment().update(None)
+
+
+def test_a_target_in_code_has_a_topic_or_a_transformation_that_runs() -> None:
+    with pytest.raises(InvalidValueError, match="target 't' has neither a topic nor `run`"):
+        Target("t", "X")
+    with pytest.raises(InvalidValueError, match="target 't' has `run`, so it can have no topic"):
+        Target("t", topic="/t", run="display")
+    assert Target("t", run="display").run == "display"

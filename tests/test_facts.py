@@ -142,6 +142,25 @@ def test_a_comparison_of_another_language_gets_the_signs_of_this_one(requires: s
     assert refused.value.mend == "compare by >=, <=, >, < or ==; write `not NAME == VALUE` for values that differ"
 
 
+@pytest.mark.parametrize(
+    ("written", "number"),
+    [("3.25m", "3.25"), ("3 m", "3"), ("-5%", "-5"), ("3km/h", "3"), ("2e-3 bar", "2e-3")],
+)
+def test_a_number_with_a_unit_is_asked_for_without_it(written: str, number: str) -> None:
+    for spaced in (f"visibility >= {written}", f"night or visibility<{written}"):
+        with pytest.raises(TagError) as refused:
+            requirement(spaced)
+        assert refused.value.mend == f"write the number without its unit: {number}"
+    assert requirement(f"visibility >= {number}").comparisons[0].sign == ">="
+
+
+def test_a_fact_with_a_dot_in_its_name_is_asked_for_in_quotes() -> None:
+    with pytest.raises(TagError) as refused:
+        requirement("r1.battery > 20")
+    assert refused.value.mend == """write a name with such signs in quotes: "'r1.battery'\""""
+    assert requirement("'r1.battery' > 20").comparisons[0].fact == "r1.battery"
+
+
 def test_a_fact_that_is_none_hides_no_other_fault_and_makes_none(survey: Path) -> None:
     survey.write_text(SURVEY.replace("declared: false", "declared: []"), encoding="utf-8")
     with pytest.raises(InputError) as refused:

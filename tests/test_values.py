@@ -78,6 +78,8 @@ def sample(cls: type) -> object:
         return next(iter(cls))
     if issubclass(cls, cfgplan.InvalidValueError) or cls.__init__ is Exception.__init__:
         return cls("no")
+    if issubclass(cls, cfgplan.Target):
+        return cls("x", "X", "/x")  # it needs a topic or `run`
     names = {**vars(cfgplan.planning), **vars(cfgplan.domain), **vars(import_module(cls.__module__))}
     needed = [each for each in inspect.signature(cls).parameters.values() if each.default is each.empty]
     return cls(**{each.name: argument(told(each.annotation), names) for each in needed})

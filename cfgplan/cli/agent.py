@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 _EXAMPLE = """\
 example:
-  cfgplan agent --name base --certificates /etc/cfgplan/base      (on the base station)
-  cfgplan agent --name r1 --certificates /etc/cfgplan/r1 --connect tls/10.0.0.3:7447      (on the robot r1)
+  cfgplan agent --name base --certificates /etc/cfgplan/base      # on the base station
+  cfgplan agent --name r1 --certificates /etc/cfgplan/r1 --connect tls/10.0.0.3:7447      # on the robot r1
   cfgplan run env.yaml --certificates /etc/cfgplan/manager --connect tls/10.0.0.3:7447 --connect tls/10.0.0.1:7447
                                                                 (on either; it plans and starts units on both)
 

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, get_args
 
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.plan_text import left_out_lines, nothing_wanted, plain_barred
 from cfgplan.cli.screen import Screen, append_excerpt, counted
-from cfgplan.errors import Fault
+from cfgplan.errors import Fault, did_you_mean
 from cfgplan.summary import some
 
 if TYPE_CHECKING:
     from cfgplan.api import World
     from cfgplan.cli.styled import Text
+    from cfgplan.domain import Environment
     from cfgplan.explaining import WiringFault
     from cfgplan.formats.places import Place
 
@@ -107,7 +108,7 @@ def _faults(
     options: argparse.Namespace, screen: Screen, env: str | None = None
 ) -> tuple[World, tuple[WiringFault, ...], tuple[str, ...]]:
     """Return the world of the file `env` (by default the file of the options), its faults, and its oddities: limits of
-    observations, and states that two units would save.
+    observations, states that two units would save or none can, and selectors that choose no host.
     """
     from cfgplan import answers, api
     from cfgplan.explaining import probable_first
@@ -127,7 +128,41 @@ def _faults(
         found = answers.wiring_faults(world, problem, **reasoning)
         noisy = (*blurred(world.environment, problem.similarity), *hidden(world.environment, problem.similarity))
         noisy = (*noisy, *double_owners(world.environment), *shared_states(problem))
+        noisy = (*noisy, *_idle(world.environment), *_stateless(world.environment))
         return world, tuple(sorted([*ros_faults(world.environment), *found], key=probable_first)), noisy
+
+
+def _idle(environment: Environment) -> Iterator[str]:
+    """The selectors that choose no host, though there are hosts: what they say has no effect."""
+    if not environment.hosts:
+        return
+    names = {name for host in environment.hosts for name in (host.name, *host.labels)}
+
+    def told(text: str) -> str:
+        meant = did_you_mean(text, names)
+        return f"no host fits `{text}`" + (f" ({meant})" if meant else "")
+
+    def is_idle(text: str) -> bool:
+        return not any(host.fits(text) for host in environment.hosts)
+
+    for link in environment.links:
+        ends = " and ".join(map(repr, link.between))
+        yield from (f"{told(end)}: the link between {ends} has no effect" for end in link.between if is_idle(end))
+    for each in environment.library:
+        yield from (f"{told(end)}: it limits no units of {each.label}" for end in each.at_most if is_idle(end))
+        if each.on is not None and is_idle(each.on):
+            yield f"{told(each.on)}: {each.label} may run nowhere"
+
+
+def _stateless(environment: Environment) -> Iterator[str]:
+    """The programs and ROS nodes that are told to keep a state, as only units of Python code can."""
+    from cfgplan.ros.sources import NodeKind
+
+    for each in environment.library:
+        scheme, _, rest = (each.source or "").partition(":")
+        is_python = scheme != "program" and (scheme not in get_args(NodeKind) or "/" not in rest)
+        if each.state_name is not None and not is_python:
+            yield f"{each.label} keeps no state: `run: {{state: ...}}` has an effect only on Python code"
 
 
 def _text(world: World, fault: WiringFault) -> Text:

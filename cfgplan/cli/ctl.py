@@ -26,24 +26,24 @@ if TYPE_CHECKING:
 _CTL_EXAMPLE = """\
 example:
   cfgplan ctl state
-  cfgplan ctl add robot2.yaml          (the individuals, transformations and targets of a robot)
+  cfgplan ctl add robot2.yaml          # the individuals, transformations and targets of a robot
   cfgplan ctl withdraw robot2
   cfgplan ctl remove-target ball
-  cfgplan ctl kill camera.1            (it is replaced at once)
-  cfgplan ctl restart camera.1         (starts its present code; if that fails, the old unit stays)
-  cfgplan ctl fact visibility=1.5      (transformations may require it)
-  cfgplan ctl observed --out now.json  (for `cfgplan solve --observed now.json`)
+  cfgplan ctl kill camera.1            # it is replaced at once
+  cfgplan ctl restart camera.1         # starts its present code; if that fails, the old unit stays
+  cfgplan ctl fact visibility=1.5      # transformations may require it
+  cfgplan ctl observed --out now.json  # for `cfgplan solve --observed now.json`
   cfgplan ctl review
-  cfgplan ctl plan --out plan.json     (what `review` would do now)
+  cfgplan ctl plan --out plan.json     # what `review` would do now
   cfgplan ctl why camera.1
-  cfgplan ctl logs camera --follow     (output of all units of camera, also of ended ones)
-  cfgplan ctl events                   (the last events, then new ones; --since 10m: only past ones)
-  cfgplan ctl topics                   (publisher, rate and age of each)
-  cfgplan ctl hz /result               (rate and jitter of a topic)
-  cfgplan ctl --name robot state       (of the run that `cfgplan run --name robot` has started)
-  cfgplan ctl apply plan.json          (refused if something has changed since)
+  cfgplan ctl logs camera --follow     # output of all units of camera, also of ended ones
+  cfgplan ctl events                   # the last events, then new ones; --since 10m: only past ones
+  cfgplan ctl topics                   # publisher, rate and age of each
+  cfgplan ctl hz /result               # rate and jitter of a topic
+  cfgplan ctl --name robot state       # of the run that `cfgplan run --name robot` has started
+  cfgplan ctl apply plan.json          # refused if something has changed since
   cfgplan ctl stop
-  cfgplan ctl state --connect tls/10.0.0.3:7447 --certificates /etc/cfgplan/manager      (from another computer)
+  cfgplan ctl state --connect tls/10.0.0.3:7447 --certificates /etc/cfgplan/manager      # from another computer
 
 Additions stay until they are withdrawn or the run ends, also if the environment file changes.
 Exit codes: 0 done, 12 done but a target is not met, 30 refused, failed and undone, or no run is live."""

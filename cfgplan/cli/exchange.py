@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from dataclasses import replace
 from functools import partial
 from os.path import relpath
@@ -225,7 +226,7 @@ def _import_ros(options: argparse.Namespace, screen: Screen) -> Exit:
         screen.warn(f"unknown: {note}")
     for each in found.graph.dropped:
         screen.warn(f"not imported: {each}")
-    screen.note(f"{found.size}. `cfgplan check {options.out}` lists its faults.")
+    screen.note(f"{found.size}. `cfgplan check {shlex.quote(options.out)}` lists its faults.")
     return Exit.OK
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -30,7 +31,8 @@ TEMPLATES: Mapping[str, _Template] = MappingProxyType(
             (
                 "cfgplan solve ENV",
                 "cfgplan solve ENV --without thermometer",
-                "cfgplan run ENV          and in another terminal: cfgplan listen /fire",
+                "cfgplan run ENV",
+                "cfgplan listen /fire          # in another terminal",
                 "cfgplan help tutorial",
             ),
         ),
@@ -38,7 +40,8 @@ TEMPLATES: Mapping[str, _Template] = MappingProxyType(
             "a robot that drives on the better of two positions, by their quality",
             (
                 "cfgplan solve ENV",
-                "cfgplan run ENV          and in another terminal: cfgplan listen /cmd_vel, cfgplan ctl observed",
+                "cfgplan run ENV",
+                "cfgplan listen /cmd_vel          # in another terminal; also cfgplan ctl observed",
                 "cfgplan ctl kill scan_matcher.1",
                 "cfgplan help observed",
             ),
@@ -47,7 +50,8 @@ TEMPLATES: Mapping[str, _Template] = MappingProxyType(
             "rooms with a thermostat each, by templates",
             (
                 "cfgplan solve ENV",
-                "cfgplan run ENV          and in another terminal: cfgplan listen /boiler",
+                "cfgplan run ENV",
+                "cfgplan listen /boiler          # in another terminal",
                 "cfgplan help mqtt",
             ),
         ),
@@ -55,7 +59,8 @@ TEMPLATES: Mapping[str, _Template] = MappingProxyType(
             "two robots and a base station, with spares for every unit",
             (
                 "cfgplan solve ENV",
-                "cfgplan run ENV --local  (extra `fleet`) and in another terminal: cfgplan listen /map",
+                "cfgplan run ENV --local          # needs the extra `fleet`",
+                "cfgplan listen /map          # in another terminal",
                 "cfgplan ctl kill merger.1",
                 "cfgplan help hosts",
             ),
@@ -102,7 +107,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         api.write_file(folder / path.name, path.read_bytes())
         if path.read_bytes().startswith(b"#!"):
             (folder / path.name).chmod(0o755)
-    env = str(folder / "env.yaml")
+    env = shlex.quote(str(folder / "env.yaml"))
     steps = "".join(f"  {step.replace('ENV', env)}\n" for step in TEMPLATES[template].next)
     if options.template is None and template != folder.name and (other := close_names(folder.name, TEMPLATES)):
         steps += f"This is the template `{template}`; `cfgplan init FOLDER --template {other[0]}` writes another one.\n"

@@ -7,6 +7,7 @@ import contextlib
 import io
 import os
 import re
+import shlex
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import partial
@@ -128,6 +129,8 @@ def _main(arguments: Sequence[str], ending: Ending) -> int:
 
 def _tell(error: CfgplanError | ModuleNotFoundError, screen: Screen, env: str | None) -> None:
     """Show a fault of the input, the command line or the installation."""
+    from cfgplan_runtime.errors import RuntimeFaultError
+
     from cfgplan.planning import OwnPlannerError
 
     match error:
@@ -137,6 +140,8 @@ def _tell(error: CfgplanError | ModuleNotFoundError, screen: Screen, env: str | 
             screen.faults([Fault(f"the package {error.name} is not installed", mend=install(error.name or ""))])
         case OwnPlannerError(mend=mend):
             screen.faults([Fault(str(error), mend=mend)])
+        case RuntimeFaultError():  # of the run's surroundings, not of its file
+            screen.faults([Fault(str(error))])
         case _:
             screen.faults([Fault(str(error), file=env)])
 
@@ -252,7 +257,10 @@ def _mend_of_command(asked: str) -> str | None:
     from cfgplan.formats.files import SUFFIXES
 
     if Path(asked).suffix in SUFFIXES:
-        return f"write a command before the file, such as `cfgplan solve {asked}`"
+        return f"write a command before the file, such as `cfgplan solve {shlex.quote(asked)}`"
+    if (meant := next((verb for verb, words in _SYNONYMS.items() if asked in words), None)) is not None:
+        live = f", or `cfgplan ctl {asked}` for a live run" if asked in NAMES else ""
+        return f"write `cfgplan {meant}`{live}"
     if (live := _MEANT.get(asked, asked)) in NAMES:
         return f"write `cfgplan ctl {live}`: it is a command for a live run"
     return did_you_mean(asked, VERBS, "cfgplan --help lists the commands")
@@ -326,6 +334,21 @@ _MOST_CHOICES = 8
 _CHOICE = re.compile(r"invalid choice: '(.*)' \(choose from (.*)\)")
 _MEANT = {"explain": "why", "ps": "state", "quit": "stop", "status": "state"}
 """Words of other programs for commands of `cfgplan ctl`."""
+_SYNONYMS = MappingProxyType(
+    {
+        "solve": ("plan", "optimise", "optimize", "compose"),
+        "check": ("validate", "verify", "lint", "test", "doctor"),
+        "graph": ("draw", "show", "picture", "dot", "visualise", "visualize"),
+        "run": ("start", "up", "launch", "execute", "exec"),
+        "listen": ("echo", "subscribe", "sub"),
+        "replay": ("play", "bag"),
+        "init": ("new", "create", "template", "templates", "example"),
+        "help": ("manual", "man", "doc", "docs"),
+        "export": ("convert", "dump", "schema"),
+        "compare": ("bench", "benchmark"),
+    }
+)
+"""Words of other programs for commands."""
 _READ = ("env", "envs", "also", "path", "plan", "guesses", "features")
 _WRITTEN = ("out", "plot", "log", "record")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import Exit
@@ -27,7 +28,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
     world = shared.load(options, screen)
     if not world.ontology.is_open:
-        mend = "edit that file; `cfgplan suggest ENV` proposes tags in its words"
+        mend = f"edit that file; `cfgplan suggest {shlex.quote(options.env)}` proposes tags in its words"
         raise InputError.of("this environment names an ontology already", file=options.env, mend=mend)
     tags = {*world.environment.outputs.values(), *world.environment.demands.values()}
     text, left_out = taxonomy(sorted(tags))

@@ -14,7 +14,7 @@ from cfgplan.cli.screen import Screen
 _OF_A_PAGE = """\
 example:
   cfgplan run env.yaml --page
-  cfgplan page                (for a run that is live)
+  cfgplan page                # for a run that is live
   cfgplan page --address 10.0.0.3 --certificates /etc/cfgplan/base
 
 Whoever has the printed address can steer the run. Without the part after #, the address only shows it."""

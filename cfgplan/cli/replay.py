@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
+import shlex
 import tempfile
 import time
 from collections.abc import Iterable, Mapping
@@ -27,10 +28,10 @@ if TYPE_CHECKING:
 
 _REPLAY_EXAMPLE = """\
 example:
-  cfgplan replay run.mcap                           (plays its topics, for `cfgplan listen`)
-  cfgplan replay run.mcap detector.yaml --speed 4   (its topics feed the units of detector.yaml)
-  cfgplan replay run.mcap --out recorded.yaml       (sources to include, or for `cfgplan ctl add`)
-  cfgplan replay run.mcap --extract again           (the run's environment: plan it, run it again)
+  cfgplan replay run.mcap                           # plays its topics, for `cfgplan listen`
+  cfgplan replay run.mcap detector.yaml --speed 4   # its topics feed the units of detector.yaml
+  cfgplan replay run.mcap --out recorded.yaml       # sources to include, or for `cfgplan ctl add`
+  cfgplan replay run.mcap --extract again           # the run's environment: plan it, run it again
 
 Exit codes: those of `cfgplan run`."""
 _BEGINS_S = 3.0
@@ -138,7 +139,8 @@ def _extract(found: Recorded, folder: Path, screen: Screen) -> Exit:
     except OSError as error:
         raise InputError.unwritable(error, str(folder)) from None
     file = folder / ENVIRONMENT
-    screen.note(f"Wrote {file}. Next: `cfgplan solve {file}`, or `cfgplan run {file}`.")
+    named = shlex.quote(str(file))
+    screen.note(f"Wrote {file}. Next: `cfgplan solve {named}`, or `cfgplan run {named}`.")
     return Exit.OK
 
 
@@ -236,7 +238,7 @@ def _mend_of_untaken(problem: Problem, sources: tuple[Transformation, ...], env:
         return f"the recording has the results too, so no unit computes them; to compute them again, play only {play}"
     live = [one for one in own if not one.inputs and fed_by([one])]
     if not live:
-        return f"`cfgplan match {env}` shows which outputs may feed which inputs"
+        return f"`cfgplan match {shlex.quote(str(env))}` shows which outputs may feed which inputs"
     tag = next(port.tag for port in live[0].outputs if fed_by([replace(live[0], outputs=(port,))]))
     names = some(one.label for one in live)
     return f"{names} was not recorded; give it a target and record again: {{label: input, topic: /input, tag: {tag}}}"

@@ -64,8 +64,8 @@ _GUESSES = ("declared", "optimistic", "pessimistic")
 _RUN_EXAMPLE = """\
 example:
   cfgplan run env.yaml --for 30s --record run.mcap
-  cfgplan listen /result      (in another terminal)
-  cfgplan ctl state           (in another terminal)
+  cfgplan listen /result      # in another terminal
+  cfgplan ctl state           # in another terminal
 
 Editing ENV changes the run. `units:` of ENV is ignored: a run starts from nothing.
 Ctrl-C stops the run and lets units finish; a second Ctrl-C kills them.

@@ -117,9 +117,14 @@ class Screen:
                 over.wait()
 
     def show(self, result: RenderableType) -> None:
-        """Print a result for people; long lines are left to the terminal."""
+        """Print a result for people; a terminal wraps long lines. Files and pipes get no spaces at line ends."""
         if isinstance(result, Text) and _takes_plain_text(sys.stdout):
             _put(sys.stdout, result)
+        elif _takes_plain_text(sys.stdout):
+            with self._out.capture() as shown:
+                self._out.print(result, soft_wrap=True)
+            self.write("\n".join(line.rstrip(" ") for line in shown.get().split("\n")))
+            self.flush()
         else:
             self._out.print(result, soft_wrap=True)
 

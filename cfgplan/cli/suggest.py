@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING
@@ -45,7 +46,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
     world = shared.load(options, screen)
     if world.ontology.is_open:
-        mend = f"`cfgplan ontology new {options.env}` writes one of the names in use"
+        mend = f"`cfgplan ontology new {shlex.quote(options.env)}` writes one of the names in use"
         raise InputError.of(
             "the environment has no `ontology:` whose names tags could use", file=options.env, mend=mend
         )

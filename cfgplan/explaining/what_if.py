@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from decimal import Decimal, InvalidOperation
@@ -31,23 +32,44 @@ class Supposed:
 def without(environment: Environment, names: Collection[str]) -> Environment:
     """The environment without these transformations, running units or targets, by label or id.
 
-    A unit that is gone leaves gaps in those that it fed, as one that has died. Raises InputError.
+    A name of several kinds needs its kind: `target heat`, `unit heat` or `transformation heat`. A unit that is gone
+    leaves gaps in those that it fed, as one that has died. Raises InputError.
     """
-    there = {*environment.transformation, *environment.unit, *environment.target}
+    there: Mapping[str, Collection[str]] = {
+        "transformation": environment.transformation,
+        "unit": environment.unit,
+        "target": environment.target,
+    }
+    gone = defaultdict[str, set[str]](set)
     faults = list[Fault]()
     for name in names:
         try:
-            known(name, there, "transformation, unit or target")
+            kind, meant = _named(name, there)
         except InputError as error:
             faults += (replace(fault, key="--without") for fault in error.faults)
+        else:
+            gone[kind].add(meant)
     if faults:
         raise InputError(faults)
     return replace(
         environment,
-        units=tuple(unit for unit in environment.units if unit.id not in names),
-        library=tuple(t for t in environment.library if t.label not in names),
-        targets=tuple(target for target in environment.targets if target.label not in names),
+        units=tuple(unit for unit in environment.units if unit.id not in gone["unit"]),
+        library=tuple(t for t in environment.library if t.label not in gone["transformation"]),
+        targets=tuple(target for target in environment.targets if target.label not in gone["target"]),
     )
+
+
+def _named(name: str, there: Mapping[str, Collection[str]]) -> tuple[str, str]:
+    """Return the kind of a name, and the name without it. Raises InputError if there is no such name, or several."""
+    kinds = [kind for kind, names in there.items() if name in names]
+    kind, _, rest = name.partition(" ")
+    if not kinds and rest in there.get(kind, ()):
+        return kind, rest
+    known(name, set().union(*there.values()), "transformation, unit or target")
+    if len(kinds) > 1:
+        mend = f"write {' or '.join(f'`{kind} {name}`' for kind in kinds)}"
+        raise InputError.of(f"`{name}` names a {', a '.join(kinds)}", mend=mend)
+    return kinds[0], name
 
 
 def with_settings(supposed: Supposed, settings: Mapping[str, str]) -> Supposed:

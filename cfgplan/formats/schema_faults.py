@@ -262,6 +262,8 @@ def _as_text(path: Path, written: str | None, value: object) -> str:
     if path[-2:-1] in (("inputs",), ("outputs",)) and value is None and not written:
         mend = "write `name: tag`; in braces a comma begins the next port: join concepts by `and`, or quote the tag"
         return mend if " " in str(path[-1]) else f"write a tag: `{path[-1]}: Image`"
+    if value is None and isinstance(path[-1], int):
+        return "remove this entry, or write a text"
     if written is not None and not isinstance(value, str):
         return f'write it in quotes: "{written}"' if written else "write a text, or remove the key"
     if isinstance(value, list) and len(value) == 1 and isinstance(value[0], str):

@@ -164,7 +164,7 @@ class _TagReader(ExpressionReader[Concept]):
             return "the message type is written beside the tag, under `type:`"
         if token in ("<", ">", "="):
             return "a tag compares no numbers: state them under `quality:`"
-        return usual
+        return super()._mend_here(usual)
 
     def _restriction(self) -> Concept:
         self._at -= 1
@@ -242,6 +242,8 @@ class _TagReader(ExpressionReader[Concept]):
         try:
             return self._ontology.find(name, vocabularies) or (None, self._ontology.free_iri(name))
         except UnknownNameError as error:
+            if (word := self._word_around()) and any(vocabulary.has(word) for vocabulary in vocabularies):
+                raise self._error(error.message, f"write the name in quotes: \"'{word}'\"", at) from error
             meant = self._meant_here(name, at) if self._ontology.class_names in vocabularies else None
             raise self._error(error.message, meant or mend or error.mend, at) from error
 

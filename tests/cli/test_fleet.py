@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from command import MODELS, Run
@@ -143,3 +144,24 @@ def test_a_run_of_what_has_no_unit_code_says_so_once(run: Run) -> None:
     assert "nothing can be started" in result.err
     assert "no transformation names its unit code" in result.err
     assert "no output matches" not in result.err + result.out
+
+
+def test_a_selector_that_chooses_no_host_is_warned_of(run: Run, write: Callable[[str], Path]) -> None:
+    fleet = (
+        "hosts: [{name: base}, {name: r1, labels: [robot]}]\n"
+        "links: [{between: [robt, base], bandwidth: 1000}]\n"
+        "transformations:\n"
+        "  - {label: a, on: robt or spot, outputs: {x: X}}\n"
+        "  - {label: b, at_most: {robt: 0, r1: 1}, outputs: {x: X}}\n"
+        "targets: [{label: t, topic: /t, tag: X}]\n"
+    )
+    told = run("check", write(fleet))
+    assert told.code == 0
+    assert told.err.splitlines() == [
+        "warning: no host fits `robt` (did you mean `robot`?): the link between 'robt' and 'base' has no effect",
+        "warning: no host fits `robt or spot`: a may run nowhere",
+        "warning: no host fits `robt` (did you mean `robot`?): it limits no units of b",
+    ]
+    assert run("check", write(fleet.replace("robt", "robot"))).err == ""
+    alone = run("check", write(fleet[fleet.index("transformations") :])).err
+    assert "no host fits" not in alone

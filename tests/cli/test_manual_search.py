@@ -101,6 +101,13 @@ def test_what_is_not_found_is_told(words: list[str], told: str, capsys: pytest.C
     assert told in capsys.readouterr().err
 
 
+def test_a_page_in_a_file_or_pipe_has_no_spaces_at_line_ends(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["help", "tutorial"]) == 0
+    lines = capsys.readouterr().out.split("\n")
+    assert "   - label: thermometer" in lines
+    assert not [line for line in lines if line.endswith(" ")]
+
+
 def test_the_name_of_a_command_shows_its_options(capsys: pytest.CaptureFixture[str]) -> None:
     shown = []
     for words in (["help", "check"], ["check", "--help"]):

@@ -18,6 +18,7 @@ from warm import cold_command, command
 
 from cfgplan import extras
 from cfgplan.cli.interrupts import Interrupts, ended_cleanly
+from cfgplan.cli.main import _SYNONYMS, VERBS
 from cfgplan.planners import cpsat
 
 NAO = MODELS / "nao"
@@ -78,6 +79,26 @@ def test_a_misspelt_verb_is_told_the_nearest_one(run: Run) -> None:
     err = run("slove", UNMET).err
     assert err.startswith("error: there is no command `slove`\n    $ cfgplan slove ")
     assert "\n              ^^^^^\n       did you mean `solve`?" in err
+
+
+@pytest.mark.parametrize(
+    ("word", "mend"),
+    [
+        ("manual", "write `cfgplan help`"),
+        ("new", "write `cfgplan init`"),
+        ("validate", "write `cfgplan check`"),
+        ("plan", "write `cfgplan solve`, or `cfgplan ctl plan` for a live run"),
+        ("status", "write `cfgplan ctl state`: it is a command for a live run"),
+    ],
+)
+def test_a_verb_of_another_program_is_told_what_it_is_called_here(run: Run, word: str, mend: str) -> None:
+    assert run(word).err.splitlines()[-1].strip() == mend
+
+
+def test_no_word_of_another_program_hides_a_verb() -> None:
+    words = [word for words in _SYNONYMS.values() for word in words]
+    assert len({*words, *VERBS}) == len(words) + len(VERBS)
+    assert _SYNONYMS.keys() <= VERBS.keys()
 
 
 def test_a_terminal_without_unicode_gets_escapes_and_json_is_utf_8_everywhere() -> None:
@@ -159,6 +180,20 @@ def test_a_run_names_a_missing_extra_before_it_plans(
     assert f"pip install 'cfgplan[{extra}]'" in result.err
     if "--local" not in options:  # it needs the hosts of a fleet
         assert run("run", FUSION, *options, "--dry-run").code == 0
+
+
+def test_a_folder_that_can_not_hold_a_run_is_named_and_not_the_environment_file(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run("init", tmp_path / "kitchen")
+    too_long = tmp_path / ("x" * 99)
+    for folder, told in (("/dev/null", "can't hold the run's sockets: Not a directory"), (too_long, "too long a name")):
+        monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
+        ended = run("run", tmp_path / "kitchen" / "env.yaml", "--for", "1s", "--no-estimates")
+        assert ended.code == 30
+        assert f"error: {folder}/cfgplan: {told}" in ended.err
+        assert "set XDG_RUNTIME_DIR to a" in ended.err
+        assert "^" not in ended.err
 
 
 def test_a_package_that_is_missing_is_named(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -53,6 +53,29 @@ def test_what_is_supposed_to_be_gone_is_done_without(run: Run) -> None:
     assert "0 to start, 0 to rewire, 6 to stop" in run("solve", FUSION, "--without", "ball").out
 
 
+def test_a_name_of_several_kinds_is_done_without_by_its_kind(run: Run, write: Callable[[str], Path]) -> None:
+    env = write(
+        "transformations:\n"
+        "  - {label: heat, outputs: {t: Heat}}\n"
+        "  - {label: stove, labor: 5, outputs: {t: Heat}}\n"
+        "targets:\n"
+        "  - {label: heat, topic: /heat, tag: Heat}\n"
+        "  - {label: unit heat, topic: /more, tag: Heat}\n"
+        "units: [{id: heat, transformation: heat}]\n"
+    )
+    told = run("solve", env, "--without", "heat")
+    assert told.code == 30
+    assert "`heat` names a transformation, a unit, a target" in told.err
+    assert "write `transformation heat` or `unit heat` or `target heat`" in told.err
+    assert "stove.1" in run("solve", env, "--without", "transformation heat").out
+    without_target = run("solve", env, "--without", "target heat").out
+    assert "/more" in without_target
+    assert "/heat" not in without_target
+    without_both = run("solve", env, "--without", "unit heat", "--without", "target heat").out
+    assert "/more" not in without_both
+    assert "did you mean `heat`?" in run("solve", env, "--without", "haet").err
+
+
 def test_costs_and_the_horizon_can_be_supposed(run: Run) -> None:
     assert "20.55 s of CPU" in run("solve", FUSION, "--set", "segmenter(piff).upkeep=0.5").out
     assert "horizon of 7 s" in run("solve", FUSION, "--set", "horizon=7").out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from cfgplan_runtime.lifecycle.changes import FaultyCode
+from cfgplan_runtime.lifecycle.kinds import kind_of
 from cfgplan_runtime.lifecycle.perturbations import CodeChanged
 from cfgplan_runtime.lifecycle.reports import Decision
 from simulated_life import Life, source, started, worker
@@ -34,7 +35,14 @@ def test_mended_code_is_used_at_once() -> None:
     run.fail("work.1")
     back = run.reviewed(FaultyCode({}, ("work",)))
     assert (run.units, back.decision) == ({"count.1", "work.1"}, Decision.APPLIED)
-    assert run.perturbations(CodeChanged) == [CodeChanged(("work",)), CodeChanged((), ("work",))]
+    assert run.perturbations(CodeChanged) == [CodeChanged(("work",), (), (NO_FILE,)), CodeChanged((), ("work",))]
+
+
+def test_a_report_of_faulty_code_says_its_fault_once_for_all_its_transformations() -> None:
+    run = life()
+    run.reviewed(FaultyCode({"work": NO_FILE, "dear": NO_FILE}))
+    (changed,) = run.perturbations(CodeChanged)
+    assert kind_of(changed).says(changed) == f"code: dear, work can't be started ({NO_FILE})"
 
 
 def test_another_fault_of_the_same_code_makes_no_review() -> None:

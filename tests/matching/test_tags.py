@@ -91,6 +91,33 @@ def test_a_name_of_the_ontology_that_is_written_with_a_space_is_proposed() -> No
         check_tag("ConvHull Hull", ontology)
 
 
+@pytest.mark.parametrize(
+    ("tag", "name"),
+    [
+        ("Battery_r1.1", "Battery_r1.1"),
+        ("Image and hasHost value r1.1", "r1.1"),
+        ("hasHost some {r1.1, r1.2}", "r1.1"),
+        ("Battery(r1.1)", "r1.1"),
+        ("not a@b", "a@b"),
+        ("∃hasSource.cam.2", "cam.2"),
+    ],
+)
+def test_a_name_with_other_signs_is_asked_for_in_quotes(tag: str, name: str) -> None:
+    with pytest.raises(TagError) as refused:
+        check_tag(tag, OPEN)
+    assert refused.value.mend == f"write a name with such signs in quotes: \"'{name}'\""
+    check_tag(tag.replace("r1.2", "other").replace(name, f"'{name}'"), OPEN)
+
+
+@pytest.mark.parametrize("tag", ["hasPlace value room1.1", "hasPlace some {room1.1}", "Image(room1.1)"])
+def test_a_name_of_the_ontology_with_other_signs_is_asked_for_in_quotes(tag: str) -> None:
+    ontology = Ontology(["ClassAssertion(<x#Image> <x#room1.1>)", "SubObjectPropertyOf(<x#hasPlace> <x#hasSource>)"])
+    with pytest.raises(TagError, match="has no individual 'room1'") as refused:
+        check_tag(tag, ontology)
+    assert refused.value.mend == "write the name in quotes: \"'room1.1'\""
+    check_tag(tag.replace("room1.1", "'room1.1'"), ontology)
+
+
 def test_and_binds_tighter_than_or_and_restrictions_tighter_than_and(streams: Ontology) -> None:
     assert parse_tag("Image or Device and hasSource some Camera or Device", streams) == parse_tag(
         "(Image ⊔ (Device ⊓ (∃hasSource.Camera))) ⊔ Device", streams

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import pytest
@@ -92,7 +93,7 @@ def test_edited_code_is_advised_to_be_restarted_and_a_restart_uses_it(
         (env.parent / "units.py").write_text(UNITS + "\n")
         told = await_event(run, "Warning")["text"]
         unit = min(one["id"] for one in first)
-        assert f"`cfgplan ctl restart {unit}` replaces it by a new one" in told
+        assert f"`cfgplan ctl restart {shlex.quote(unit)}` replaces it by a new one" in told
         assert main(["ctl", "restart", unit]) == 0
         assert f"stopped {unit}" in capsys.readouterr().out
         review = await_event(run, "Reviewed", decision="applied")

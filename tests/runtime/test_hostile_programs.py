@@ -8,6 +8,7 @@ from typing import get_args
 import psutil
 import pytest
 from cfgplan_runtime import ApplyError, Patience
+from cfgplan_runtime.children.program import NOT_READY
 from cfgplan_runtime.supervision.events import (
     Event,
     UnitCutShort,
@@ -67,6 +68,9 @@ def test_a_hostile_program_harms_no_other_unit_and_is_ended_with_all_its_process
     if (pid := runtime.pid("bad.1")) is not None and kind in (UnitFailed, None):
         with suppress(psutil.Error):
             assert psutil.Process(pid).memory_info().rss < MOST_BYTES
+    if deed in ("promises", "hang"):
+        owed = "waited for an answer of the program"
+        eventually(lambda: any(owed in event.line for event in seen(runtime, UnitPrinted) if event.unit == "bad.1"))
     got = len(listener.received)
     eventually(lambda: len(listener.received) > got + 20)
     assert {event.unit for event in seen(runtime, UnitDied)} <= {"bad.1"}
@@ -89,6 +93,10 @@ def test_a_program_that_is_not_ready_undoes_its_update_and_nothing_else(
     with pytest.raises(ApplyError, match=r"bad\.1"):
         runtime.apply(start(unit("bad.1", x="count.1/n")), patience=QUICK)
     assert set(runtime.environment.unit) == {"count.1", "work.1"}
+    log = [event.line for event in seen(runtime, UnitPrinted) if event.unit == "bad.1"]
+    if deed == "not ready":
+        assert NOT_READY in log
+    assert not any("cfgplan_runtime" in line for line in log)
     listener = Listener("/result")
     eventually(lambda: len(listener.received) > 20)
     runtime.close()

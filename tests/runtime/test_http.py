@@ -91,7 +91,7 @@ def test_what_is_no_value_is_told_once(server: Server, capsys: pytest.CaptureFix
     server.answers["/x"] = 200, b"{"
     poller = Poller(f"{server.url}/x")
     assert [poller(), poller()] == [None, None]
-    assert capsys.readouterr().out.count("a message is not valid json, and is left out") == 1
+    assert capsys.readouterr().out.count("a message can't be read as json, and is left out") == 1
 
 
 def test_a_password_goes_to_the_resource_and_not_to_where_it_leads(

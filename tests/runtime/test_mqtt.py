@@ -378,7 +378,7 @@ def test_what_is_no_value_is_told_once_and_left_out(
         words(x=word)
     assert heard.next() == 7
     told = capsys.readouterr().out
-    assert told.count("x: a message is not valid json, and is left out") == 1
+    assert told.count("x: a message can't be read as json, and is left out") == 1
     assert "(it begins b'{'; `payload: text` accepts it)" in told
 
 

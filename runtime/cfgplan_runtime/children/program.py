@@ -16,7 +16,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import msgspec
 
@@ -55,6 +55,9 @@ class _Asked(NamedTuple):
     moment: Moment | None
     size: int
     """Bytes of its message."""
+
+
+NOT_READY: Final = 'the program has not written `{"ready": true}`: it must write and flush it before all else'
 
 
 class Reply(NamedTuple):
@@ -107,6 +110,12 @@ class ProgramCode:
     def owes(self) -> bool:
         """Whether the program has steps to answer."""
         return bool(self._asked)
+
+    @property
+    def debt(self) -> str:
+        """A sentence about the answer that the program owes."""
+        owed = f"step {self._asked[0].step} has" if self._asked else "no step has"
+        return f"{owed} waited for an answer of the program"
 
     @property
     def is_sending(self) -> bool:

@@ -128,6 +128,11 @@ class UnitChild:
         """Close the sockets of its ports. A child needs no call of it, since its process ends."""
         self._ports.close()
 
+    @property
+    def debt(self) -> str:
+        """A sentence about what a unit of a program waits for."""
+        return self._program.debt if self._program else ""
+
     def interrupt(self) -> None:
         """Leave unit code that blocks. Called by a signal's handler once the unit was told to finish.
 

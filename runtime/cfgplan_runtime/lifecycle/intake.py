@@ -164,7 +164,8 @@ def _code_looked_at(
     transition = transition.situated(replace(situation, code_faults=faults, back_offs=back_offs))
     if not (left_out or back):
         return transition.also(Respond(request.outcome))
-    return transition.perturbed(CodeChanged(tuple(sorted(left_out)), tuple(sorted(back))), (request.outcome,))
+    causes = tuple(sorted({faults[label] for label in left_out}))
+    return transition.perturbed(CodeChanged(tuple(sorted(left_out)), tuple(sorted(back)), causes), (request.outcome,))
 
 
 def matched(transition: Transition, result: Matched) -> Transition:

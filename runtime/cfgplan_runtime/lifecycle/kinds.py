@@ -138,8 +138,9 @@ def _facts_changed(changed: perturbations.FactsChanged) -> str:
     return f"facts have changed: {_each_said(*parts)}"
 
 
-def _code_changed(changed: perturbations.CodeChanged) -> str:
-    return _each_said((changed.left_out, "can't be started"), (changed.back, "may be started again"))
+def _code_changed(changed: perturbations.CodeChanged, *, with_causes: bool = False) -> str:
+    causes = f" ({short('; '.join(changed.causes))})" if with_causes else ""
+    return _each_said((changed.left_out, f"can't be started{causes}"), (changed.back, "may be started again"))
 
 
 def _world_changed(changed: perturbations.WorldChanged) -> str:
@@ -356,7 +357,7 @@ _PERTURBATIONS = (
     Kind(perturbations.FactsChanged, says=_facts_changed, because=lambda _: "facts have changed", optimises=True),
     Kind(
         perturbations.CodeChanged,
-        says=lambda it: f"code: {_code_changed(it)}",
+        says=lambda it: f"code: {_code_changed(it, with_causes=True)}",
         because=_code_changed,
         level=Level.WARNING,
         is_grave=lambda it: bool(it.left_out),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import threading
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -123,5 +124,5 @@ class Sources(FileWatch):
 
 
 def _advice(path: Path, units: list[str]) -> str:
-    again = f"`cfgplan ctl restart {units[0]}` replaces it by a new one"
+    again = f"`cfgplan ctl restart {shlex.quote(units[0])}` replaces it by a new one"
     return f"{path.name} has changed, and these units run with the code from before: {named(units)}; {again}"

@@ -34,7 +34,7 @@ class PayloadReader:
         except LookupError as error:
             self._once.tell(place, f"{place}: a message has no such field, and is left out: {error}")
         except (ValueError, RecursionError) as error:
-            told = f"a message is not valid {self._form}, and is left out: {error}"
+            told = f"a message can't be read as {self._form}, and is left out: {error}"
             self._once.tell(place, f"{place}: {told} (it begins {payload[:_MOST_SHOWN]!r}; {_other_form(payload)})")
         return ()
 

@@ -30,6 +30,8 @@ from setproctitle import setproctitle
 from cfgplan_runtime.children import messages
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.outlet_child import NO_DESCRIPTOR, OutletChild
+from cfgplan_runtime.children.program import NOT_READY
+from cfgplan_runtime.children.program_source import names_program
 from cfgplan_runtime.children.rehearsal import fill_gaps, rehearse
 from cfgplan_runtime.children.unit_child import UnitChild
 from cfgplan_runtime.children.unit_code import UNIT_VARIABLE
@@ -214,6 +216,9 @@ def be_child(order: messages.ChildOrder, control_end: socket.socket, printed: so
         os.environ[UNIT_VARIABLE] = f"{run}/{of_unit.unit}"
         _limit_memory(of_unit.memory_bytes)
         signal.signal(INTERRUPT_SIGNAL, signal.SIG_IGN)
+        if names_program(of_unit.source):
+            faulthandler.unregister(DUMP_SIGNAL)
+            signal.signal(DUMP_SIGNAL, lambda *_: _print_debt(unit))
         unit = UnitChild(of_unit, control, is_spare=isinstance(order, messages.SpareOrder))
         signal.signal(INTERRUPT_SIGNAL, lambda *_: unit.interrupt())
         if isinstance(order, messages.SpareOrder):
@@ -236,6 +241,11 @@ def be_child(order: messages.ChildOrder, control_end: socket.socket, printed: so
     finally:
         _end_as_python_does(waits=is_well)
     return 0
+
+
+def _print_debt(unit: UnitChild | None) -> None:
+    """Print which message a program has not written: the stack of its unit's process would show only cfgplan's code."""
+    os.write(sys.stderr.fileno(), f"{unit.debt if unit else NOT_READY}\n".encode())
 
 
 def _end_as_python_does(*, waits: bool) -> None:

@@ -107,7 +107,8 @@ def base_folder() -> Path:
         base.mkdir(mode=0o700, parents=True, exist_ok=True)
         found = base.lstat()
     except OSError as error:
-        raise RuntimeFaultError(f"{base}: can't hold the run's sockets: {error.strerror}") from None
+        told = f"{base}: can't hold the run's sockets: {error.strerror}: set XDG_RUNTIME_DIR to another folder"
+        raise RuntimeFaultError(told) from None
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
         raise RuntimeFaultError(f"{base} is open to other users, or not yours: remove it, or set XDG_RUNTIME_DIR")
     return base
