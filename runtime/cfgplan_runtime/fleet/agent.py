@@ -364,6 +364,10 @@ class Agent:
                 if self._stopping.pop(unit, None) is not None:
                     backend.stop(unit)
                 backend.kill(unit, dump=dump)
+            case orders.ActivateOrder(unit):
+                if unit in held.units:
+                    held.units[unit].is_active = True
+                backend.activate(unit)
             case orders.HoldOrder(unit):
                 self._note_handover(unit, "waits")
                 backend.hold(unit)

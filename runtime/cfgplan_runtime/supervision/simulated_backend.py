@@ -240,6 +240,9 @@ class SimulatedBackend:
             if not found.behaviour.hung:
                 self._later(found.behaviour.stop_s, UnitStopped(unit))
 
+    def activate(self, unit: str) -> None:
+        self.calls.append(("activate", unit))
+
     def hold(self, unit: str) -> None:
         self.calls.append(("hold", unit))
         if unit in self.units:
