@@ -6,6 +6,7 @@ The start of a unit beside a source is held up until a source that began too ear
 from __future__ import annotations
 
 import socket
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -17,7 +18,7 @@ import msgspec
 import pytest
 from cfgplan_runtime import Runtime
 from cfgplan_runtime.children.control import ControlConnection
-from cfgplan_runtime.children.messages import Activate, Finish, ToChild
+from cfgplan_runtime.children.messages import Activate, Deactivate, Finish, ToChild
 from cfgplan_runtime.children.unit_child import UnitChild
 from cfgplan_runtime.children.unit_order import unit_order
 from cfgplan_runtime.streams.channel import Receiver, Sender, socket_pair
@@ -45,10 +46,12 @@ def child_of(transformation: Transformation) -> Iterator[UnitChild]:
     order = unit_order(f"{transformation.label}.1", transformation, None)
     order = msgspec.structs.replace(order, folder=str(Path(__file__).parent))
     child = UnitChild(order, ControlConnection(theirs, ToChild))
-    yield child
-    child.close()
-    for end in (ours, theirs):
-        end.close()
+    try:
+        yield child
+    finally:
+        child.close()
+        for end in (ours, theirs):
+            end.close()
 
 
 def connect(child: UnitChild, port: str) -> Receiver:
@@ -69,6 +72,28 @@ def test_the_first_step_waits_until_the_unit_is_told_to_begin(transformation: Tr
         child._obey(Activate(), [])
         child._work()
         assert decode(next(receiver.read()).payload) == 0
+        receiver.close()
+
+
+@pytest.mark.parametrize("code", ["twice", "same"])
+def test_a_unit_that_pauses_gives_nothing_and_then_what_has_waited(code: str) -> None:
+    with child_of(worker(code=code)) as child:
+        receiver = connect(child, "y")
+        child._obey(Activate(), [])
+        for number in range(3):
+            child._steps.put("x", Element(number, 0, 0, b"".join(PayloadEncoder().encode(number))), may_drop=True)
+        assert child._pending is not None
+        child._begin(child._pending)
+        before = [decode(one.payload) for one in receiver.read()]
+        child._obey(Deactivate(), [])
+        child._work()
+        assert list(receiver.read()) == []
+        child._status_ns = time.monotonic_ns() + 10**12
+        assert child._patience_s() > 0.0, "it waits"
+        child._obey(Activate(), [])
+        child._work()
+        given = before + [decode(one.payload) for one in receiver.read()]
+        assert given == ([0, 0, 1, 1, 2, 2] if code == "twice" else [0, 1, 2])
         receiver.close()
 
 

@@ -20,6 +20,7 @@ from cfgplan_runtime.supervision.updates import (
     Command,
     Connect,
     CutShort,
+    DeactivateUnit,
     Disconnect,
     Dump,
     EndUnit,
@@ -117,6 +118,9 @@ class Scene:
             case ActivateUnit(name):
                 self.inactive.remove(name)
                 self.said.append(f"begin {name}")
+            case DeactivateUnit(name):
+                self.inactive.add(name)
+                self.said.append(f"pause {name}")
             case HoldUnit(name):
                 self.said.append(f"hold {name}")
             case AskPlaces(name, begun):
@@ -454,6 +458,18 @@ def test_a_unit_that_an_undone_update_keeps_begins_when_the_next_has_connected_i
     scene.carry_out(ChangeSet(started=(unit("work.2", x="give.1/n"),)))
     said = "start work.2, wait, give.1/n > work.2/x, begin work.2"
     assert ", ".join(scene.said).startswith(f"{said}{'' if begins else ', begin give.1'}, wait")
+
+
+def test_a_unit_that_has_begun_and_that_an_undone_update_keeps_pauses_until_the_next_has_connected_it() -> None:
+    library = (source(), worker(), source("give"), worker("bad"))
+    scene = Scene(replace(RUNNING, library=library), quiet={"bad.1"}, failing={"bad.1"})
+    started = unit("give.1"), unit("bad.1", topic="/result", x="give.1/n")
+    with pytest.raises(ApplyError, match="bad luck"):
+        scene.carry_out(ChangeSet(started, rewired=(replace(WORK, publications=()),)), keeps_new=True)
+    assert scene.said.index("work.1/y > /result") < scene.said.index("pause give.1"), "it feeds the topic until then"
+    assert scene.inactive == {"give.1"}
+    scene.carry_out(ChangeSet(started=(unit("work.2", x="give.1/n"),)))
+    assert scene.inactive == set()
 
 
 def test_what_was_rewired_goes_back_before_the_new_unit_ends() -> None:

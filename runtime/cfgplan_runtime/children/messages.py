@@ -156,6 +156,10 @@ class Activate(msgspec.Struct, tag=True):
     """Begin to work: all streams of the update that started the unit are connected."""
 
 
+class Deactivate(msgspec.Struct, tag=True):
+    """Give nothing until the next Activate: an undone update has disconnected the unit."""
+
+
 class HoldSteps(msgspec.Struct, tag=True):
     """Begin no step before the state of another unit has come."""
 
@@ -225,6 +229,7 @@ ToChild: TypeAlias = (
     | ToRelay
     | BeginUnit
     | Activate
+    | Deactivate
     | HoldSteps
     | TellPlaces
     | TellState

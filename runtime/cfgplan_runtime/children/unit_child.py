@@ -88,7 +88,7 @@ class UnitChild:
         self._results: Iterator[Given] | None = None
         self._next_step: Step | None = None
         self._is_active = False
-        """Whether steps may begin. Before, an output may lack a subscription, and would lose its first elements."""
+        """Whether it may give results. Before, an output may lack a subscription, and elements would be lost."""
         self._is_exhausted = self._is_finishing = self._is_interrupted = self._is_closing = False
         self._since_ns = _NEVER_NS
         """Since when unit code is at one piece of work; _NEVER_NS while it is not called."""
@@ -169,8 +169,7 @@ class UnitChild:
         if program is None:
             return
         ends = self._ports.ends
-        is_taken = self._is_active or self._begun is None  # a spare discards what it says
-        if is_taken and program.is_heard and not (self._is_finishing and program.sets_its_pace):
+        if program.is_heard and not (self._is_finishing and program.sets_its_pace):
             ends.watch(program.end, program.hear)
         else:
             ends.unwatch(program.end)
@@ -200,6 +199,8 @@ class UnitChild:
                 self._begun = unit
             case messages.Activate():
                 self._is_active, self._tick_ns = True, time.monotonic_ns()
+            case messages.Deactivate():
+                self._is_active = False
             case messages.HoldSteps():
                 self._handover.hold()
                 # A source may be at a step, and elements may wait in a unit that an undone update has kept: both belong
@@ -223,6 +224,10 @@ class UnitChild:
     def _has_work(self) -> bool:
         """Whether a step is under way or waits."""
         return self._results is not None or self._has_replies or self._owes or self._pending is not None
+
+    @property
+    def _has_results(self) -> bool:
+        return self._is_active and self._results is not None
 
     @property
     def _has_replies(self) -> bool:
@@ -254,7 +259,7 @@ class UnitChild:
         now = time.monotonic_ns()
         until = self._status_ns
         if not self._ports.must_wait:
-            if self._results is not None or self._has_replies or (self._has_room and self._pending is not None):
+            if self._has_results or self._has_replies or (self._has_room and self._pending is not None):
                 return 0.0
             if self._may_tick:
                 until = min(until, max(self._tick_ns, self._handover.pause_ns))
@@ -265,7 +270,7 @@ class UnitChild:
         while not self._ports.must_wait and (now := time.monotonic_ns()) - start < _LONGEST_WORK_NS:
             self._since_ns = now
             self._answer()
-            if self._results is not None:
+            if self._has_results:
                 self._give_next()
             elif self._program is not None and self._has_replies:
                 self.step += self._program.sets_its_pace

@@ -122,7 +122,10 @@ class KillOrder(msgspec.Struct, tag=True):
 
 
 class ActivateOrder(msgspec.Struct, tag=True):
+    """Activate a unit, or deactivate it."""
+
     unit: str
+    is_active: bool
 
 
 class HoldOrder(msgspec.Struct, tag=True):
@@ -260,7 +263,7 @@ class HeldUnit(msgspec.Struct):
 
     `handover` is its part in the last hand-over of a state: a new unit waits for the state and then has it; the unit
     that it replaces is asked for the state, for this `successor`. If it is not replaced after all, it has its own
-    state again. It makes no step before it `is_active`.
+    state again. It makes no step unless it `is_active`.
     """
 
     label: str

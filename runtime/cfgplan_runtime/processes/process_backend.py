@@ -244,6 +244,9 @@ class ProcessBackend:
     def activate(self, unit: str) -> None:
         self._tell_unit(unit, messages.Activate())
 
+    def deactivate(self, unit: str) -> None:
+        self._tell_unit(unit, messages.Deactivate())
+
     def hold(self, unit: str) -> None:
         self._tell_unit(unit, messages.HoldSteps())
 

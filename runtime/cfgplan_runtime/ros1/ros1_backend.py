@@ -183,6 +183,9 @@ class Ros1Backend:
     def activate(self, unit: str) -> None:
         """Do nothing: nodes work as soon as they run."""
 
+    def deactivate(self, unit: str) -> None:
+        """Do nothing: nodes work as long as they run."""
+
     def hold(self, unit: str) -> None:
         """Do nothing: nodes do not take a state."""
 

@@ -217,6 +217,9 @@ class Ros2Backend:
     def activate(self, unit: str) -> None:
         """Do nothing: nodes work as soon as they run."""
 
+    def deactivate(self, unit: str) -> None:
+        """Do nothing: nodes work as long as they run."""
+
     def hold(self, unit: str) -> None:
         """Do nothing: nodes do not take a state."""
 

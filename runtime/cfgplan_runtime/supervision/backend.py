@@ -187,6 +187,9 @@ class Backend(Protocol):
     def activate(self, unit: str) -> None:
         """Let a started unit begin to work. Nodes of ROS do nothing here: they work as soon as they run."""
 
+    def deactivate(self, unit: str) -> None:
+        """Let a unit give nothing until `activate`, and keep the elements that it gets."""
+
     def hold(self, unit: str) -> None:
         """Let a started unit keep the elements that it gets, and make no step before `give_state`."""
 

@@ -243,6 +243,9 @@ class SimulatedBackend:
     def activate(self, unit: str) -> None:
         self.calls.append(("activate", unit))
 
+    def deactivate(self, unit: str) -> None:
+        self.calls.append(("deactivate", unit))
+
     def hold(self, unit: str) -> None:
         self.calls.append(("hold", unit))
         if unit in self.units:

@@ -53,7 +53,7 @@ class Supervisor:
         self.alive: set[str] = set()
         self.ready: set[str] = set()
         self.inactive: set[str] = set()
-        """The units that were not told to begin to work yet."""
+        """The units that give nothing, since they are not connected yet."""
         self.topics: dict[str, str | None] = {}
         self.hosts: dict[str, events.HostJoined | events.HostLost] = {}
         """The last event of each host that the backend reports."""
@@ -287,6 +287,9 @@ class Supervisor:
                 self._start(unit, transformation)
             case updates.ActivateUnit(unit_id):
                 self._activate(unit_id)
+            case updates.DeactivateUnit(unit_id):
+                self.inactive.add(unit_id)
+                self.backend.deactivate(unit_id)
             case updates.HoldUnit(unit_id):
                 self.backend.hold(unit_id)
             case updates.AskPlaces(unit_id, begun):

@@ -60,7 +60,7 @@ class Actual(Protocol):
     def ready(self) -> Set[str]: ...
     @property
     def inactive(self) -> Set[str]:
-        """The units that were started, and not told to begin to work."""
+        """The units that give nothing, since they are not connected yet."""
 
     @property
     def topics(self) -> Mapping[str, str | None]:
@@ -116,6 +116,12 @@ class StartUnit(Command, frozen=True):
 
 class ActivateUnit(Command, frozen=True):
     """Let a started unit begin to work."""
+
+    unit: str
+
+
+class DeactivateUnit(Command, frozen=True):
+    """Let a unit give nothing until it is activated."""
 
     unit: str
 
@@ -499,8 +505,8 @@ class _Update:
         actual, wanted = self.actual, self.wanted
         kept = actual.alive & set(self.started) - set(failed) if keeps_new else set[str]()
         yield SetEnvironment(self.with_unconnected(kept))
-        # The next update activates the others, once they are connected.
-        yield from self.activate(kept & (wiring.wanted_to_run(self.after) | kept - self.wired()))
+        waiting = kept & self.wired() - wiring.wanted_to_run(self.after)  # until the next update connects them
+        yield from self.activate(kept - waiting)
         back = {inlet: old for inlet, old in reversed(self.rewired.items()) if inlet.unit not in self.started}
         self.rewired.clear()
         for inlet, old in back.items():
@@ -515,6 +521,8 @@ class _Update:
         yield WaitUntil(self.may_end, self.patience.switch_s)
         for inlet in self.switching():
             yield SwitchNow(inlet)
+        for unit in sorted(actual.alive & waiting - actual.inactive):
+            yield DeactivateUnit(unit)
         for inlet in [inlet for inlet in actual.feeds if inlet.unit in kept]:
             yield Disconnect(inlet)
         ending = {*self.started, *failed} - kept
