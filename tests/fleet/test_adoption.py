@@ -253,6 +253,14 @@ def test_the_age_of_a_unit_is_known_by_the_clock_of_its_host() -> None:
     assert adoption.found.ages_s == {"count.1": 30.0}
 
 
+def test_units_that_were_not_told_to_begin_are_found_as_such() -> None:
+    held = Held(units=started("count.1", "work.1"))
+    held.units["count.1"].is_active = True
+    adoption = adopt("new", {"r1": held}, LIBRARY)
+    assert adoption.found is not None
+    assert adoption.found.inactive == {"work.1"}
+
+
 def test_no_wire_gets_the_number_of_one_that_an_inlet_may_still_have() -> None:
     first, second = (Held(units=started(one), last_wire=number) for one, number in (("count.1", 7), ("work.1", 9)))
     adoption = adopt("new", {"r1": first, "r2": second}, LIBRARY)

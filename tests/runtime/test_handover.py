@@ -16,7 +16,7 @@ import pytest
 from cfgplan_runtime import Runtime
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.handover import Handover
-from cfgplan_runtime.children.messages import GivenInput, HoldSteps, TakeState, ToChild
+from cfgplan_runtime.children.messages import Activate, GivenInput, HoldSteps, TakeState, ToChild
 from cfgplan_runtime.children.ports import Ports
 from cfgplan_runtime.children.steps import Step, StepQueue
 from cfgplan_runtime.children.unit_child import UnitChild
@@ -271,6 +271,7 @@ def test_elements_that_waited_before_a_unit_was_told_to_wait_for_a_state_are_no_
     order = msgspec.structs.replace(unit_order("low.1", low, None), folder=str(Path(__file__).parent))
     child = UnitChild(order, ControlConnection(theirs, ToChild))
     elements = [Element(at, 0, 0, b"".join(PayloadEncoder().encode(at))) for at in range(1, 6)]
+    child._obey(Activate(), [])
     for element in elements[:4]:
         child._steps.put("x", element, may_drop=False)
     if is_begun:

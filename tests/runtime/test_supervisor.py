@@ -12,7 +12,7 @@ import pytest
 from cfgplan_runtime import ApplyError, Patience, SimulatedBackend, StaleChangeSetError, Supervisor
 from cfgplan_runtime.children.unit_order import order_digest
 from cfgplan_runtime.errors import NoSourceError
-from cfgplan_runtime.supervision.backend import Failures, Found, Inlet, StoppingUnit
+from cfgplan_runtime.supervision.backend import Failures, Found, FoundWire, Inlet, StoppingUnit
 from cfgplan_runtime.supervision.events import (
     Applied,
     Event,
@@ -74,6 +74,7 @@ def test_additions_come_before_removals() -> None:
         ("start", "work.2"),
         ("connect", "count.1/n", "work.2/x"),
         ("connect", "work.2/y", "/result"),
+        ("activate", "work.2"),
         ("stop", "work.1"),
         ("end", "count.1/n", "work.1/x"),
     ]
@@ -342,6 +343,27 @@ def test_a_unit_that_an_earlier_supervisor_has_started_is_awaited_as_long_as_one
     assert [event.unit for event in events if isinstance(event, UnitHung)] == ["work.1"]
     assert set(supervisor.environment.unit) == supervisor.alive == {"count.1"}
     assert 30.0 < backend.now() < 60.0
+
+
+def test_units_that_an_earlier_supervisor_has_not_let_begin_begin_once_they_are_connected() -> None:
+    """One that a target wants to run begins at once, since no update may come that connects it."""
+    library = source(), worker(), source("give"), source("run")
+    names = "count.1", "work.1", "give.1", "run.1"
+    wire = FoundWire(1, Stream("count.1", "n"), Inlet("work.1", "x"), has_switched=True)
+    units = tuple(unit(name, **({"x": "count.1/n"} if name == "work.1" else {})) for name in names)
+    ready = dict.fromkeys(names, DEFAULT_LABOR_US)
+    found = Found(units, library, (), ready, (wire,), {}, inactive={"work.1", "give.1", "run.1"})
+    backend = SimulatedBackend()
+    for one, transformation in zip(names, library, strict=True):
+        backend.start(one, transformation, None, None)
+    targets = RESULT, Target("runs", run="run")
+    with mock.patch.object(SimulatedBackend, "found", return_value=found):
+        supervisor = Supervisor(backend, Environment((), library, targets), lambda _: None)
+    begun = [call for call in backend.calls if call[0] == "activate"]
+    assert begun == [("activate", "run.1"), ("activate", "work.1")]
+    supervisor.apply(start(unit("work.2", x="give.1/n")))
+    begun = [call for call in backend.calls if call[0] == "activate"]
+    assert begun[2:] == [("activate", "work.2"), ("activate", "give.1")]
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from cfgplan_runtime.errors import AbandonedError
 from cfgplan_runtime.supervision.backend import Inlet
 from cfgplan_runtime.supervision.events import PlacesTold, StateTold
 from cfgplan_runtime.supervision.updates import (
+    ActivateUnit,
     AskPlaces,
     AskState,
     CarriedOut,
@@ -19,6 +20,7 @@ from cfgplan_runtime.supervision.updates import (
     Command,
     Connect,
     CutShort,
+    DeactivateUnit,
     Disconnect,
     Dump,
     EndUnit,
@@ -38,13 +40,13 @@ from cfgplan_runtime.supervision.updates import (
 from cfgplan_runtime.supervision.wiring import Wire, wanted_feeds, wanted_topics
 from world import RESULT, source, start, unit, worker
 
-from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Host, RunOptions
+from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Host, RunOptions, Target
 
 COUNT, WORK = unit("count.1"), unit("work.1", topic="/result", x="count.1/n")
 NEW = unit("work.2", topic="/result", x="count.1/n")
 SWAP = ChangeSet(started=(NEW,), stopped=("work.1",))
 WIRED = "count.1/n > work.1/x, work.1/y > /result"
-BESIDE = "start work.2, wait, count.1/n > work.2/x, work.2/y > /result"
+BESIDE = "start work.2, wait, count.1/n > work.2/x, work.2/y > /result, begin work.2"
 PLACE = (7, 0)
 """The moment from which a new unit's inlets get every element."""
 IN_VAIN = "wait in vain, stop work.1 again, wait in vain, cut work.1 short"
@@ -73,6 +75,7 @@ class Scene:
     def __post_init__(self) -> None:
         self.alive = set(self.environment.unit)
         self.ready = set(self.environment.unit)
+        self.inactive: set[str] = set()
         self.lost_hosts: set[str] = set()
         opened = wanted_topics(self.environment) if self.environment.units else {}
         self.topics = dict(opened)
@@ -108,8 +111,16 @@ class Scene:
                 self.said.append(f"start {started.id}")
                 if started.id not in self.dying:
                     self.alive.add(started.id)
+                if started.id not in self.dying:
+                    self.inactive.add(started.id)
                 if started.id not in self.dying | self.slow:
                     self.ready.add(started.id)
+            case ActivateUnit(name):
+                self.inactive.remove(name)
+                self.said.append(f"begin {name}")
+            case DeactivateUnit(name):
+                self.inactive.add(name)
+                self.said.append(f"pause {name}")
             case HoldUnit(name):
                 self.said.append(f"hold {name}")
             case AskPlaces(name, begun):
@@ -160,6 +171,7 @@ class Scene:
 
     def _end(self, name: str) -> None:
         self.alive.discard(name)
+        self.inactive.discard(name)
         for inlet in [inlet for inlet in self.feeds if inlet.unit == name]:
             del self.feeds[inlet]
         for wire in self.feeds.values():
@@ -182,7 +194,7 @@ class Scene:
         (
             Scene(replace(RUNNING, units=())),
             start(COUNT, WORK),
-            f"open /result, start count.1, start work.1, wait, {WIRED}, wait, wait, wait",
+            f"open /result, start count.1, start work.1, wait, {WIRED}, begin work.1, begin count.1, wait, wait, wait",
             0,
         ),
         (Scene(), SWAP, f"{BESIDE}, wait, stop work.1, wait, wait, wait", 0),
@@ -216,7 +228,10 @@ class Scene:
         (
             Scene(replace(RUNNING, library=(*RUNNING.library, source("quiet"))), quiet={"quiet.1"}),
             ChangeSet(started=(unit("quiet.1"),), rewired=(unit("work.1", topic="/result", x="quiet.1/n"),)),
-            "start quiet.1, wait, quiet.1/n > work.1/x, wait in vain, go over work.1/x, wait, wait in vain",
+            (
+                "start quiet.1, wait, quiet.1/n > work.1/x, begin quiet.1, "
+                "wait in vain, go over work.1/x, wait, wait in vain"
+            ),
             1,
         ),
     ],
@@ -298,7 +313,7 @@ NEXT = "hold low.1, count.1/n > low.1/x, low.1/y > /result"
 )
 def test_a_unit_goes_on_with_the_present_state_of_the_one_that_it_replaces(scene: Scene, said: str) -> None:
     scene.carry_out(LOWER)
-    assert ", ".join(scene.said).startswith(f"start low.1, wait, {NEXT}, {said}, stop high.1")
+    assert ", ".join(scene.said).startswith(f"start low.1, wait, {NEXT}, begin low.1, {said}, stop high.1")
 
 
 def test_a_unit_that_an_undone_update_has_kept_is_given_the_state_by_the_next() -> None:
@@ -422,6 +437,39 @@ def test_what_has_not_failed_may_stay_unconnected() -> None:
     assert scene.said == ["start bad.1", "start work.2", "wait", "wait", "stop bad.1", "end bad.1", "wait", "wait"]
     assert scene.environment.unit["work.2"] == unit("work.2")
     assert set(scene.environment.unit) == {"count.1", "work.1", "work.2"}
+
+
+@pytest.mark.parametrize(
+    ("feed", "is_target", "begins"),
+    [("give.1/n", False, False), ("give.1/n", True, True), ("count.1/n", False, True)],
+    ids=["its stream is wanted", "a target wants it to run", "nothing is to be connected"],
+)
+def test_a_unit_that_an_undone_update_keeps_begins_when_the_next_has_connected_it(
+    feed: str, is_target: bool, begins: bool
+) -> None:
+    """A source that begins unconnected would take messages from a broker and lose them."""
+    targets = (RESULT, *([Target("runs", run="give")] if is_target else []))
+    library = (source(), worker(), source("give"), worker("bad"))
+    scene = Scene(replace(RUNNING, library=library, targets=targets), dying={"bad.1"})
+    with pytest.raises(ApplyError, match=r"bad\.1 died"):
+        scene.carry_out(start(unit("give.1"), unit("bad.1", x=feed)), keeps_new=True)
+    assert ("begin give.1" in scene.said) is begins
+    scene.said.clear()
+    scene.carry_out(ChangeSet(started=(unit("work.2", x="give.1/n"),)))
+    said = "start work.2, wait, give.1/n > work.2/x, begin work.2"
+    assert ", ".join(scene.said).startswith(f"{said}{'' if begins else ', begin give.1'}, wait")
+
+
+def test_a_unit_that_has_begun_and_that_an_undone_update_keeps_pauses_until_the_next_has_connected_it() -> None:
+    library = (source(), worker(), source("give"), worker("bad"))
+    scene = Scene(replace(RUNNING, library=library), quiet={"bad.1"}, failing={"bad.1"})
+    started = unit("give.1"), unit("bad.1", topic="/result", x="give.1/n")
+    with pytest.raises(ApplyError, match="bad luck"):
+        scene.carry_out(ChangeSet(started, rewired=(replace(WORK, publications=()),)), keeps_new=True)
+    assert scene.said.index("work.1/y > /result") < scene.said.index("pause give.1"), "it feeds the topic until then"
+    assert scene.inactive == {"give.1"}
+    scene.carry_out(ChangeSet(started=(unit("work.2", x="give.1/n"),)))
+    assert scene.inactive == set()
 
 
 def test_what_was_rewired_goes_back_before_the_new_unit_ends() -> None:

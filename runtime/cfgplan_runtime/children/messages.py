@@ -152,6 +152,14 @@ class BeginUnit(msgspec.Struct, tag=True):
     state: bytes | None
 
 
+class Activate(msgspec.Struct, tag=True):
+    """Begin to work: all streams of the update that started the unit are connected."""
+
+
+class Deactivate(msgspec.Struct, tag=True):
+    """Give nothing until the next Activate: an undone update has disconnected the unit."""
+
+
 class HoldSteps(msgspec.Struct, tag=True):
     """Begin no step before the state of another unit has come."""
 
@@ -220,6 +228,8 @@ ToChild: TypeAlias = (
     | SetClock
     | ToRelay
     | BeginUnit
+    | Activate
+    | Deactivate
     | HoldSteps
     | TellPlaces
     | TellState
@@ -232,7 +242,7 @@ ToChild: TypeAlias = (
 
 
 class Ready(msgspec.Struct, tag=True):
-    """The unit code is constructed; `cpu_ns` is the CPU time of this, in nanoseconds."""
+    """The unit code is constructed, and waits for Activate; `cpu_ns` is the CPU time of this, in nanoseconds."""
 
     cpu_ns: int
 

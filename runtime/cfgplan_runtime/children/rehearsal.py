@@ -14,7 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from cfgplan_runtime.children.control import ControlConnection
-from cfgplan_runtime.children.messages import Feed, Finish, FromChild, Serve, ToChild, UnitOrder
+from cfgplan_runtime.children.messages import Activate, Feed, Finish, FromChild, Serve, ToChild, UnitOrder
 from cfgplan_runtime.children.unit_child import UnitChild
 from cfgplan_runtime.streams.channel import Sender, socket_pair
 from cfgplan_runtime.streams.element import Outgoing
@@ -89,6 +89,7 @@ def _run(order: UnitOrder) -> None:
     (producer, taken), (given, consumer) = socket_pair(), socket_pair()
     supervisor.send(Serve("y", 1, queue=10, blocks=False), [given])
     supervisor.send(Feed("x", 0), [taken])
+    supervisor.send(Activate())
     Sender(producer, queue=10, blocks=False).offer(Outgoing(0, 0, PayloadEncoder().encode(1)))
     supervisor.send(Finish())
     unit.run()

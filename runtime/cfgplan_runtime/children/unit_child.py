@@ -87,6 +87,8 @@ class UnitChild:
         self._last: dict[str, Moment] = {}
         self._results: Iterator[Given] | None = None
         self._next_step: Step | None = None
+        self._is_active = False
+        """Whether it may give results. Before, an output may lack a subscription, and elements would be lost."""
         self._is_exhausted = self._is_finishing = self._is_interrupted = self._is_closing = False
         self._since_ns = _NEVER_NS
         """Since when unit code is at one piece of work; _NEVER_NS while it is not called."""
@@ -108,12 +110,12 @@ class UnitChild:
         return self._begun
 
     def run(self) -> None:
-        """Work until told to finish, or until the supervisor is gone.
+        """Work from `Activate` on, until told to finish or until the supervisor is gone.
 
         Raises SystemExit if unit code does, and the last exception of a source that gives nothing after it.
         """
         self._ports.say(messages.Ready(self._cpu_ns()))
-        self._said_ns = self._status_ns = self._tick_ns = time.monotonic_ns()
+        self._said_ns = self._status_ns = time.monotonic_ns()
         try:
             self._go_on()
         except SystemExit:
@@ -200,6 +202,10 @@ class UnitChild:
             case messages.BeginUnit(unit, state):
                 self._set_state(state)
                 self._begun = unit
+            case messages.Activate():
+                self._is_active, self._tick_ns = True, time.monotonic_ns()
+            case messages.Deactivate():
+                self._is_active = False
             case messages.HoldSteps():
                 self._handover.hold()
                 # A source may be at a step, and elements may wait in a unit that an undone update has kept: both belong
@@ -217,7 +223,7 @@ class UnitChild:
                 self._handover.stay()
             case messages.Finish():
                 self._ports.drain()
-                self._is_finishing = True
+                self._is_active = self._is_finishing = True
 
     @property
     def _has_work(self) -> bool:
@@ -225,8 +231,12 @@ class UnitChild:
         return self._results is not None or self._has_replies or self._owes or self._pending is not None
 
     @property
+    def _has_results(self) -> bool:
+        return self._is_active and self._results is not None
+
+    @property
     def _has_replies(self) -> bool:
-        return self._program is not None and bool(self._program.replies)
+        return self._is_active and self._program is not None and bool(self._program.replies)
 
     @property
     def _owes(self) -> bool:
@@ -239,21 +249,22 @@ class UnitChild:
 
     @property
     def _pending(self) -> Step | None:
-        if self._next_step is None and not self._is_source and not self._handover.is_waiting:
+        may = self._is_active and not self._is_source and not self._handover.is_waiting
+        if self._next_step is None and may:
             self._handover.refill()
             self._next_step = self._steps.next()
         return self._next_step
 
     @property
     def _may_tick(self) -> bool:
-        may = self._is_source and not self._is_exhausted and not self._is_finishing and self._has_room
-        return may and not self._handover.is_waiting
+        may = self._is_active and self._is_source and not self._is_exhausted and not self._is_finishing
+        return may and self._has_room and not self._handover.is_waiting
 
     def _patience_s(self) -> float:
         now = time.monotonic_ns()
         until = self._status_ns
         if not self._ports.must_wait:
-            if self._results is not None or self._has_replies or (self._has_room and self._pending is not None):
+            if self._has_results or self._has_replies or (self._has_room and self._pending is not None):
                 return 0.0
             if self._may_tick:
                 until = min(until, max(self._tick_ns, self._handover.pause_ns))
@@ -264,9 +275,9 @@ class UnitChild:
         while not self._ports.must_wait and (now := time.monotonic_ns()) - start < _LONGEST_WORK_NS:
             self._since_ns = now
             self._answer()
-            if self._results is not None:
+            if self._has_results:
                 self._give_next()
-            elif self._program is not None and self._program.replies:
+            elif self._program is not None and self._has_replies:
                 self.step += self._program.sets_its_pace
                 self._moment, self._results = self._program.replies.popleft()
                 self._give_next()

@@ -299,6 +299,7 @@ def _found(
         states,
         {unit: held[host].now_s - running[unit].since_s for unit, host in units.items()},
         max((one.last_wire for one in held.values()), default=0),
+        {unit for unit, one in running.items() if not one.is_active},
     )
 
 

@@ -364,6 +364,10 @@ class Agent:
                 if self._stopping.pop(unit, None) is not None:
                     backend.stop(unit)
                 backend.kill(unit, dump=dump)
+            case orders.ActivateOrder(unit, is_active):
+                if unit in held.units:
+                    held.units[unit].is_active = is_active
+                (backend.activate if is_active else backend.deactivate)(unit)
             case orders.HoldOrder(unit):
                 self._note_handover(unit, "waits")
                 backend.hold(unit)

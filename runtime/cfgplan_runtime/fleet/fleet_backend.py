@@ -209,6 +209,12 @@ class FleetBackend:
     def kill(self, unit: str, *, dump: bool = False) -> None:
         self._presence.say(self._units.get(unit), orders.KillOrder(unit, dump))
 
+    def activate(self, unit: str) -> None:
+        self._presence.say(self._units.get(unit), orders.ActivateOrder(unit, is_active=True))
+
+    def deactivate(self, unit: str) -> None:
+        self._presence.say(self._units.get(unit), orders.ActivateOrder(unit, is_active=False))
+
     def hold(self, unit: str) -> None:
         self._presence.say(self._units.get(unit), orders.HoldOrder(unit))
 

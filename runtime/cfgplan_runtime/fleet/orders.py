@@ -121,6 +121,13 @@ class KillOrder(msgspec.Struct, tag=True):
     dump: bool
 
 
+class ActivateOrder(msgspec.Struct, tag=True):
+    """Activate a unit, or deactivate it."""
+
+    unit: str
+    is_active: bool
+
+
 class HoldOrder(msgspec.Struct, tag=True):
     unit: str
 
@@ -220,6 +227,7 @@ Order: TypeAlias = (
     | DiscardOrder
     | StopOrder
     | KillOrder
+    | ActivateOrder
     | HoldOrder
     | AskPlacesOrder
     | AskStateOrder
@@ -255,7 +263,7 @@ class HeldUnit(msgspec.Struct):
 
     `handover` is its part in the last hand-over of a state: a new unit waits for the state and then has it; the unit
     that it replaces is asked for the state, for this `successor`. If it is not replaced after all, it has its own
-    state again.
+    state again. It makes no step unless it `is_active`.
     """
 
     label: str
@@ -263,6 +271,7 @@ class HeldUnit(msgspec.Struct):
     labor_us: int | None = None
     stop: HeldStop | None = None
     since_s: float = 0.0
+    is_active: bool = False
     handover: Literal["", "waits", "has it", "is asked"] = ""
     successor: str = ""
 

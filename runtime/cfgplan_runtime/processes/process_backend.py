@@ -241,6 +241,12 @@ class ProcessBackend:
         if child is not None:
             self._nursery.kill(child.serial, dump=dump)
 
+    def activate(self, unit: str) -> None:
+        self._tell_unit(unit, messages.Activate())
+
+    def deactivate(self, unit: str) -> None:
+        self._tell_unit(unit, messages.Deactivate())
+
     def hold(self, unit: str) -> None:
         self._tell_unit(unit, messages.HoldSteps())
 

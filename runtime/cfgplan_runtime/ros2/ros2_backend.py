@@ -214,6 +214,12 @@ class Ros2Backend:
         elif node is not None and not dump:
             self._end(node, NodeProcess.kill)
 
+    def activate(self, unit: str) -> None:
+        """Do nothing: nodes work as soon as they run."""
+
+    def deactivate(self, unit: str) -> None:
+        """Do nothing: nodes work as long as they run."""
+
     def hold(self, unit: str) -> None:
         """Do nothing: nodes do not take a state."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -84,7 +84,7 @@ class Found:
     `labor_us` has the units that are ready, and the cold spares that are prepared; `topics` the host of each topic's
     target. `stopping` has by id the units that were told to stop and have not ended; apart from it, only wires name
     them. `states` has the last state of each state's name, and `ages_s` the seconds since each unit was started.
-    `last_wire` is the highest number of a wire so far.
+    `last_wire` is the highest number of a wire so far. The `inactive` units were never told to begin.
     """
 
     units: tuple[ComputationUnit, ...]
@@ -97,6 +97,7 @@ class Found:
     states: Mapping[str, bytes] = field(default_factory=dict)
     ages_s: Mapping[str, float] = field(default_factory=dict)
     last_wire: int = 0
+    inactive: Set[str] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,8 +158,8 @@ class Backend(Protocol):
     ) -> None:
         """Start a unit on a host: UnitReady or UnitDied follows, or HostLost.
 
-        It starts in the process that was prepared as `spare`, if that still runs and its code has not changed:
-        SpareUsed is reported first. The spare is gone in any case.
+        The unit makes no step before `activate`. It starts in the process that was prepared as `spare`, if that still
+        runs and its code has not changed: SpareUsed is reported first. The spare is gone in any case.
         """
 
     def prepare(self, spare: str, transformation: Transformation, host: str | None) -> None:
@@ -182,6 +183,12 @@ class Backend(Protocol):
 
         With `dump` it first prints its stack.
         """
+
+    def activate(self, unit: str) -> None:
+        """Let a started unit begin to work. Nodes of ROS do nothing here: they work as soon as they run."""
+
+    def deactivate(self, unit: str) -> None:
+        """Let a unit give nothing until `activate`, and keep the elements that it gets."""
 
     def hold(self, unit: str) -> None:
         """Let a started unit keep the elements that it gets, and make no step before `give_state`."""

@@ -240,6 +240,12 @@ class SimulatedBackend:
             if not found.behaviour.hung:
                 self._later(found.behaviour.stop_s, UnitStopped(unit))
 
+    def activate(self, unit: str) -> None:
+        self.calls.append(("activate", unit))
+
+    def deactivate(self, unit: str) -> None:
+        self.calls.append(("deactivate", unit))
+
     def hold(self, unit: str) -> None:
         self.calls.append(("hold", unit))
         if unit in self.units:

@@ -21,7 +21,7 @@ from cfgplan_runtime.supervision.listeners import LOG
 from cfgplan_runtime.supervision.observation import Observation, UnitRecord
 from cfgplan_runtime.supervision.spares import MEGABYTE, Spares
 from cfgplan_runtime.supervision.taps import Taps
-from cfgplan_runtime.supervision.wiring import Wire, Wiring, without_feed
+from cfgplan_runtime.supervision.wiring import Wire, Wiring, wanted_to_run, without_feed
 
 HANG_S = 10.0
 """Seconds that a unit may be silent if its transformation has no `hang`. A source without a rate may be silent for
@@ -52,6 +52,8 @@ class Supervisor:
         self.taps = Taps(backend, self.wiring.fresh_id, self._host_of)
         self.alive: set[str] = set()
         self.ready: set[str] = set()
+        self.inactive: set[str] = set()
+        """The units that give nothing, since they are not connected yet."""
         self.topics: dict[str, str | None] = {}
         self.hosts: dict[str, events.HostJoined | events.HostLost] = {}
         """The last event of each host that the backend reports."""
@@ -236,6 +238,10 @@ class Supervisor:
             if unit.id in found.labor_us:
                 self.ready.add(unit.id)
                 record.labor_us = found.labor_us[unit.id]
+        self.inactive |= found.inactive
+        connected = {end for wire in found.wires for end in (wire.stream.unit, wire.inlet.unit)}
+        for unit_id in sorted(found.inactive & (connected | wanted_to_run(self.environment))):
+            self._activate(unit_id)
 
     def _drive(self, commands: Generator[updates.Command, None, updates.CarriedOut]) -> updates.CarriedOut:
         """Carry out an update. The first command that fails is thrown into it, so that all is undone.
@@ -279,6 +285,11 @@ class Supervisor:
                 self.backend.close_outlet(topic)
             case updates.StartUnit(unit, transformation):
                 self._start(unit, transformation)
+            case updates.ActivateUnit(unit_id):
+                self._activate(unit_id)
+            case updates.DeactivateUnit(unit_id):
+                self.inactive.add(unit_id)
+                self.backend.deactivate(unit_id)
             case updates.HoldUnit(unit_id):
                 self.backend.hold(unit_id)
             case updates.AskPlaces(unit_id, begun):
@@ -361,6 +372,7 @@ class Supervisor:
 
     def _start(self, unit: ComputationUnit, transformation: Transformation) -> None:
         self.alive.add(unit.id)
+        self.inactive.add(unit.id)
         self.ready.discard(unit.id)
         self.cause_of_death.pop(unit.id, None)
         self._library[unit.id] = transformation
@@ -373,6 +385,10 @@ class Supervisor:
         except Exception:
             self._remove_dead(unit.id)
             raise
+
+    def _activate(self, unit: str) -> None:
+        self.inactive.discard(unit)
+        self.backend.activate(unit)
 
     def _new_record(self, unit: ComputationUnit, transformation: Transformation) -> UnitRecord:
         return UnitRecord(transformation.label, unit.host, sign_s=self.now(), state_name=transformation.state_name)
@@ -451,6 +467,7 @@ class Supervisor:
     def _remove_dead(self, unit: str) -> None:
         self.alive.discard(unit)
         self.ready.discard(unit)
+        self.inactive.discard(unit)
         self._stopping.pop(unit, None)
         self.wiring.forget_unit(unit)
         self.taps.lose_unit(unit)

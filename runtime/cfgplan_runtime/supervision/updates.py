@@ -59,6 +59,10 @@ class Actual(Protocol):
     @property
     def ready(self) -> Set[str]: ...
     @property
+    def inactive(self) -> Set[str]:
+        """The units that give nothing, since they are not connected yet."""
+
+    @property
     def topics(self) -> Mapping[str, str | None]:
         """By topic that has an address: the host of its target."""
 
@@ -104,10 +108,22 @@ class CloseTopic(Command, frozen=True):
 
 
 class StartUnit(Command, frozen=True):
-    """Start a unit on its host, without any wire."""
+    """Start a unit on its host, without any wire. It makes no step."""
 
     unit: ComputationUnit
     transformation: Transformation
+
+
+class ActivateUnit(Command, frozen=True):
+    """Let a started unit begin to work."""
+
+    unit: str
+
+
+class DeactivateUnit(Command, frozen=True):
+    """Let a unit give nothing until it is activated."""
+
+    unit: str
 
 
 class HoldUnit(Command, frozen=True):
@@ -376,6 +392,8 @@ class _Update:
             if fed is None or fed.stream != stream:
                 self.rewired[inlet] = None if fed is None else fed.stream
                 yield Connect(stream, inlet)
+        # Elements that a unit gives before it is connected would be lost, such as messages that a broker has kept.
+        yield from self.activate(unit.id for unit in self.after.units)
         paused = set[str]()
         for unit, before in heirs.items():
             is_told = yield from self.hand_over_state(before, unit)
@@ -392,6 +410,13 @@ class _Update:
         for inlet in [inlet for inlet in actual.feeds if inlet not in wanted]:
             if inlet.unit not in self.change_set.stopped:
                 yield Disconnect(inlet)
+
+    def activate(self, units: Iterable[str]) -> Commands:
+        """Let those of the units begin that have not begun yet: sources last, since the others wait for elements."""
+        new = self.actual.inactive & set(units)
+        inputs = {unit.id: bool(self.after.transformation[unit.transformation].inputs) for unit in self.after.units}
+        for unit in sorted(new, key=lambda unit: (not inputs[unit], unit)):
+            yield ActivateUnit(unit)
 
     def heirs(self) -> dict[str, str]:
         """The fresh units that continue with the state of an ending unit, upstream units first, each with that unit."""
@@ -480,6 +505,8 @@ class _Update:
         actual, wanted = self.actual, self.wanted
         kept = actual.alive & set(self.started) - set(failed) if keeps_new else set[str]()
         yield SetEnvironment(self.with_unconnected(kept))
+        waiting = kept & self.wired() - wiring.wanted_to_run(self.after)  # until the next update connects them
+        yield from self.activate(kept - waiting)
         back = {inlet: old for inlet, old in reversed(self.rewired.items()) if inlet.unit not in self.started}
         self.rewired.clear()
         for inlet, old in back.items():
@@ -494,6 +521,8 @@ class _Update:
         yield WaitUntil(self.may_end, self.patience.switch_s)
         for inlet in self.switching():
             yield SwitchNow(inlet)
+        for unit in sorted(actual.alive & waiting - actual.inactive):
+            yield DeactivateUnit(unit)
         for inlet in [inlet for inlet in actual.feeds if inlet.unit in kept]:
             yield Disconnect(inlet)
         ending = {*self.started, *failed} - kept

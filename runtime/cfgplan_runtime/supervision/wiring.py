@@ -156,6 +156,12 @@ def wanted_topics(environment: Environment) -> Mapping[str, str | None]:
     return {**published, **{target.topic: target.host for target in environment.stream_targets}}
 
 
+def wanted_to_run(environment: Environment) -> set[str]:
+    """The units that a target wants to run, whether or not they are connected."""
+    wanted = set(environment.wanted_to_run.values())
+    return {unit.id for unit in environment.units if unit.transformation in wanted}
+
+
 def starved_units(environment: Environment) -> set[str]:
     """The units that can't step any more, since a source upstream is missing."""
     starved: set[str] = set()
