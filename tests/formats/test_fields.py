@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+from contextlib import suppress
 from dataclasses import MISSING, replace
 from functools import cache
 from pathlib import Path
@@ -26,6 +27,7 @@ from cfgplan.domain import (
     Target,
     Transformation,
 )
+from cfgplan.errors import InvalidValueError
 from cfgplan.formats import fields
 from cfgplan.formats.environment_file import EnvironmentFile
 from cfgplan.formats.fields import Part, Use
@@ -64,14 +66,21 @@ def default_of(part: type[Part], key: str) -> Any:
 TOGETHER: dict[tuple[type[Part], str], dict[str, Any]] = {
     (fields.LinkPart, "latency"): {"latency": 0, "adds": None},
     (fields.LinkPart, "adds"): {"latency": 0, "adds": None},
+    (fields.TargetPart, "topic"): {"topic": "/elsewhere"},
+    (fields.TargetPart, "run"): {"run": None, "topic": "/elsewhere"},
 }
-"""Attributes with what they are changed to, where one can't have its default without another."""
+"""Attributes with what they are changed to, where one can't have its default, or not without another."""
 
 
 def changed(holder: Any, path: list[str], values: dict[str, Any]) -> list[Any]:
-    """The holder with the values instead of others, once for each place on the path where there are others."""
+    """The holder with the values instead of others, once for each place on the path where there are others, and where
+    such a holder is valid.
+    """
     if not path:
-        return [replace(holder, **values)] if all(getattr(holder, of) != value for of, value in values.items()) else []
+        with suppress(InvalidValueError):
+            if all(getattr(holder, of) != value for of, value in values.items()):
+                return [replace(holder, **values)]
+        return []
     inner = getattr(holder, path[0])
     if not isinstance(inner, tuple):
         return [replace(holder, **{path[0]: other}) for other in changed(inner, path[1:], values)]
@@ -121,6 +130,7 @@ from loading import load
 from experiments.study.instances import given
 from cfgplan.domain import Similarity
 from cfgplan.explaining.limits import limits_of
+from cfgplan.errors import InvalidValueError
 from cfgplan.formats import fields
 from cfgplan.formats.dump import dump_yaml, plain_environment
 from cfgplan.formats.fields import EnvironmentPart
