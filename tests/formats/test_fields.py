@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+from contextlib import suppress
 from dataclasses import MISSING, replace
 from functools import cache
 from pathlib import Path
@@ -26,6 +27,7 @@ from cfgplan.domain import (
     Target,
     Transformation,
 )
+from cfgplan.errors import InvalidValueError
 from cfgplan.formats import fields
 from cfgplan.formats.environment_file import EnvironmentFile
 from cfgplan.formats.fields import Part, Use
@@ -64,14 +66,19 @@ def default_of(part: type[Part], key: str) -> Any:
 TOGETHER: dict[tuple[type[Part], str], dict[str, Any]] = {
     (fields.LinkPart, "latency"): {"latency": 0, "adds": None},
     (fields.LinkPart, "adds"): {"latency": 0, "adds": None},
+    (fields.TargetPart, "topic"): {"topic": "/elsewhere"},
+    (fields.TargetPart, "run"): {"run": "camera"},
 }
-"""Attributes with what they are changed to, where one can't have its default without another."""
+"""Attributes with what they are changed to, where one can't have its default alone."""
 
 
 def changed(holder: Any, path: list[str], values: dict[str, Any]) -> list[Any]:
-    """The holder with the values instead of others, once for each place on the path where there are others."""
+    """The holder with the values instead of others, once for each place on the path that can have them."""
     if not path:
-        return [replace(holder, **values)] if all(getattr(holder, of) != value for of, value in values.items()) else []
+        differs = all(getattr(holder, of) != value for of, value in values.items())
+        with suppress(InvalidValueError):
+            return [replace(holder, **values)] if differs else []
+        return []
     inner = getattr(holder, path[0])
     if not isinstance(inner, tuple):
         return [replace(holder, **{path[0]: other}) for other in changed(inner, path[1:], values)]
