@@ -150,7 +150,7 @@ def what_if(
 ) -> World:
     """Return the world without some transformations, units or targets, and with other values of `settings`.
 
-    `without` has their names; a name of several kinds follows its kind, as in `target heat`.
+    `without` has their names. If several kinds of parts share a name, write the kind before it: `target heat`.
 
     Settings are `horizon`, `max_cost`, `facts.NAME`, `T.labor`, `T.upkeep`, `T.pinned`, `T.required` and `T.priority`,
     with values as they are written in files. `observed` is a file with the facts and qualities that a run has observed

@@ -689,7 +689,7 @@ class Environment:
         return self.omitting(self.left_out)
 
     def omitting(self, labels: Mapping[str, str]) -> Environment:
-        """Return the environment whose library omits also the transformations of these labels, each with the reason."""
+        """Return the environment whose library also omits the transformations of these labels, each with the reason."""
         omitted = (*self.omitted, *((t, labels[t.label]) for t in self.library if t.label in labels))
         return replace(self, library=tuple(t for t in self.library if t.label not in labels), omitted=omitted)
 
@@ -746,11 +746,11 @@ class Environment:
     def update(self, change_set: ChangeSet | None) -> Environment:
         """The environment after the update by `change_set` (Definition 7): additions, then removals.
 
-        Raises InvalidValueError if a unit to rewire or stop does not run or one to start does, and if there is no
-        change set, as in a plan that found none.
+        Raises InvalidValueError if a unit to rewire or stop does not run, if one to start does, or if `change_set` is
+        None since no plan was found.
         """
         if change_set is None:
-            raise InvalidValueError("there is no change set: no plan was found, and its `reasons` say why")
+            raise InvalidValueError("no plan was found, so there is no change set; the plan's `reasons` say why")
         for unit in change_set.started:
             if unit.id in self.unit:
                 raise InvalidValueError(f"unit {unit.id!r} can't be started: it runs already")

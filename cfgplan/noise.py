@@ -5,7 +5,7 @@ both directions. With 20 % noise at 5 values a second this follows each of 24 cr
 its mind at most 10 times an hour where the truth lies exactly on a bound. Raw values make 1107 changes of these 24.
 
 A value that its noise does not explain (the innovation gate of a Kalman filter) is left out as an outlier, unless the
-JUMP_VALUES last values were all such, on the same side: then the truth has jumped, and the mean begins anew there.
+last JUMP_VALUES values were all outliers on the same side: then the truth has jumped, and the mean restarts there.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from cfgplan.qualities import MICRO, units
 HALF_LIFE_S: Final = 2.0
 BAND_ERRORS: Final = 3
 OUTLIER_ERRORS: Final = 5
-"""A value is an outlier if it is more than so many standard deviations from the mean."""
+"""A value more than this many standard deviations from the mean is an outlier."""
 JUMP_VALUES: Final = 3
 _JUMP_VARIANCE: Final = 0.4487
 """The variance of the median of JUMP_VALUES values, as a share of a single value's: 1 - sqrt(3) / pi."""
@@ -49,7 +49,7 @@ class Noise:
 class NoisyMean:
     """An exponential mean of values in millionths; `variance` is its variance as a share of a single value's.
 
-    Before the first value, it is the value that counts so far, which the first values may show to be wrong.
+    Before the first value, the mean is the value that counts so far; the first values may contradict it.
     """
 
     mean: float
@@ -58,7 +58,7 @@ class NoisyMean:
     values: int = 0
     """The number of values in the mean."""
     outliers: tuple[int, ...] = ()
-    """The outliers on the same side since the last value that was none, at most the last JUMP_VALUES - 1."""
+    """The outliers on one side since the last value that counted, at most the last JUMP_VALUES - 1."""
 
     def after(self, value: int, at_s: float, noise: Noise) -> NoisyMean:
         """Return the mean after one more value. The first values have equal weights."""
@@ -75,8 +75,10 @@ class NoisyMean:
         return NoisyMean(sorted(outliers)[JUMP_VALUES // 2], at_s, _JUMP_VARIANCE, JUMP_VALUES, outliers[1:])
 
     def _explains(self, value: int, noise: Noise) -> bool:
-        """Whether a value is so near to the mean that it may be noise. Both are equally right to know how large a share
-        of noise is: at the geometric mean of both, zeros and saturated values are outliers whatever the share.
+        """Return whether a value is so near to the mean that it may be noise.
+
+        Relative noise is taken at the geometric mean of both, so that zeros and saturated values are outliers
+        whatever the share.
         """
         variance = noise.at(round(self.mean)) * noise.at(value) * (1 + self.variance)
         return (value - self.mean) ** 2 <= OUTLIER_ERRORS**2 * variance

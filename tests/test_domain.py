@@ -140,7 +140,7 @@ def test_a_whole_number_of_another_library_becomes_an_int() -> None:
 
 
 def test_a_plan_without_a_change_set_can_not_be_carried_out() -> None:
-    with pytest.raises(InvalidValueError, match="there is no change set: no plan was found"):
+    with pytest.raises(InvalidValueError, match="no plan was found, so there is no change set"):
         Environment().update(None)
 
 

@@ -22,7 +22,7 @@ example:
   cfgplan agent --name base --certificates /etc/cfgplan/base      # on the base station
   cfgplan agent --name r1 --certificates /etc/cfgplan/r1 --connect tls/10.0.0.3:7447      # on the robot r1
   cfgplan run env.yaml --certificates /etc/cfgplan/manager --connect tls/10.0.0.3:7447 --connect tls/10.0.0.1:7447
-                                                                (on either; it plans and starts units on both)
+                                                                # on either; it plans and starts units on both
 
 Connect each pair of agents only once: if A connects to B, B need not connect to A. Without certificates an
 agent listens on loopback only. Units keep running when `cfgplan run` ends."""

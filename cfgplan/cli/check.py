@@ -108,7 +108,7 @@ def _faults(
     options: argparse.Namespace, screen: Screen, env: str | None = None
 ) -> tuple[World, tuple[WiringFault, ...], tuple[str, ...]]:
     """Return the world of the file `env` (by default the file of the options), its faults, and its oddities: limits of
-    observations, states that two units would save or none can, and selectors that choose no host.
+    observations, states that two units or none would save, and selectors that choose no host.
     """
     from cfgplan import answers, api
     from cfgplan.explaining import probable_first
@@ -133,7 +133,7 @@ def _faults(
 
 
 def _idle(environment: Environment) -> Iterator[str]:
-    """The selectors that choose no host, though there are hosts: what they say has no effect."""
+    """Yield a warning for each selector that chooses none of the declared hosts, and so has no effect."""
     if not environment.hosts:
         return
     names = {name for host in environment.hosts for name in (host.name, *host.labels)}
@@ -151,11 +151,11 @@ def _idle(environment: Environment) -> Iterator[str]:
     for each in environment.library:
         yield from (f"{told(end)}: it limits no units of {each.label}" for end in each.at_most if is_idle(end))
         if each.on is not None and is_idle(each.on):
-            yield f"{told(each.on)}: {each.label} may run nowhere"
+            yield f"{told(each.on)}: {each.label} can't run on any host"
 
 
 def _stateless(environment: Environment) -> Iterator[str]:
-    """The programs and ROS nodes that are told to keep a state, as only units of Python code can."""
+    """Yield a warning for each program and ROS node with a `state`, which only Python code can keep."""
     from cfgplan.ros.sources import NodeKind
 
     for each in environment.library:

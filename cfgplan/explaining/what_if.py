@@ -32,8 +32,8 @@ class Supposed:
 def without(environment: Environment, names: Collection[str]) -> Environment:
     """The environment without these transformations, running units or targets, by label or id.
 
-    A name of several kinds needs its kind: `target heat`, `unit heat` or `transformation heat`. A unit that is gone
-    leaves gaps in those that it fed, as one that has died. Raises InputError.
+    A name that several kinds share needs its kind: `target heat`, `unit heat` or `transformation heat`. A unit that is
+    gone leaves gaps in those that it fed, as one that has died. Raises InputError.
     """
     there: Mapping[str, Collection[str]] = {
         "transformation": environment.transformation,
@@ -68,7 +68,7 @@ def _named(name: str, there: Mapping[str, Collection[str]]) -> tuple[str, str]:
     known(name, set().union(*there.values()), "transformation, unit or target")
     if len(kinds) > 1:
         mend = f"write {' or '.join(f'`{kind} {name}`' for kind in kinds)}"
-        raise InputError.of(f"`{name}` names a {', a '.join(kinds)}", mend=mend)
+        raise InputError.of(f"`{name}` names a {', a '.join(kinds[:-1])} and a {kinds[-1]}", mend=mend)
     return kinds[0], name
 
 

@@ -1,4 +1,4 @@
-"""Follow noisy facts whose sensors also give wrong values, with and without the rule that leaves outliers out.
+"""Follow noisy facts whose sensors also give wrong values, with and without the rule that outliers do not count.
 
 python experiments/observed/outliers.py [--repeat 10] [--seed 0]
 
@@ -23,7 +23,7 @@ from cfgplan.noise import Noise, NoisyMean
 from cfgplan.qualities import MICRO
 
 CODE = 65_535.0
-"""What a sensor of 16 bits gives for "nothing seen"."""
+"""The value of a 16-bit sensor for "nothing seen"."""
 EXPLAINS_ALL: Final = Noise(10**15)
 """With so much noise, no value is an outlier."""
 
@@ -52,7 +52,7 @@ class Fault:
     length: int = 1
 
     def begins(self, random: Random, at_s: float) -> bool:
-        """Whether wrong values begin now, or go on."""
+        """Return whether wrong values begin or continue now."""
         return random.random() < self.share / self.length if self.share else 15 < at_s % 30 < 18
 
 
@@ -86,7 +86,7 @@ FAULTS: Final[Mapping[str, Fault | None]] = MappingProxyType(
 
 
 def values(family: Family, fault: Fault | None, random: Random) -> Iterator[tuple[float, float]]:
-    """Yield each time with the value that comes then."""
+    """Yield each time with its value."""
     wrong = 0
     for step in range(1, family.seconds * family.rate_hz + 1):
         at_s = step / family.rate_hz

@@ -5,7 +5,7 @@ With `depth` it prints the same for chains and rows of pairs, and their time wit
 
 The planner's clock measures CPU time here, because the machine may be shared; each row is measured in a new process.
 A limit is kept if planning exceeds it by at most 10 % or 10 ms. A limit that leaves no plan is followed by a search for
-a first one, as `Clock.for_a_first_plan` says; its time is told apart.
+a first one, as `Clock.for_a_first_plan` says; its time is listed separately.
 """
 
 from __future__ import annotations

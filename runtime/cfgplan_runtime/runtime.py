@@ -197,7 +197,8 @@ class Runtime(Closable):
 
         `basis` is the environment that it was planned for; `patience` limits the steps. Raises StaleChangeSetError if
         the basis differs from the running configuration, or the change set names units that do not run; ApplyError if a
-        step failed and all was undone. With `keeps_new`, new units that have not failed then stay, unconnected.
+        step failed and all was undone. With `keeps_new`, new units that have not failed then stay, unconnected
+        and paused.
         """
         is_abandoned = threading.Event()
         self._abandons.append(is_abandoned)

@@ -159,7 +159,7 @@ def test_a_selector_that_chooses_no_host_is_warned_of(run: Run, write: Callable[
     assert told.code == 0
     assert told.err.splitlines() == [
         "warning: no host fits `robt` (did you mean `robot`?): the link between 'robt' and 'base' has no effect",
-        "warning: no host fits `robt or spot`: a may run nowhere",
+        "warning: no host fits `robt or spot`: a can't run on any host",
         "warning: no host fits `robt` (did you mean `robot`?): it limits no units of b",
     ]
     assert run("check", write(fleet.replace("robt", "robot"))).err == ""

@@ -41,9 +41,11 @@ def test_what_it_writes_runs(run: Run, tmp_path: Path) -> None:
 def test_the_examples_of_all_commands_can_be_pasted_as_they_are_printed() -> None:
     (of_verb,) = (action.choices for action in parser_with(VERBS)._actions if isinstance(action.choices, dict))
     epilogs = [each.epilog or "" for each in of_verb.values()]
-    examples = [line for epilog in epilogs for line in epilog.splitlines() if re.match(r"  .*\bcfgplan [a-z]", line)]
+    blocks = [block for epilog in epilogs for block in re.findall(r"(?m)^examples?:\n((?:  .*\n?)+)", epilog)]
+    lines = [shlex.split(line, comments=True) for block in blocks for line in block.splitlines()]
+    examples = [words for words in lines if words and words[0] != "scp"]
     assert len(examples) > 50
-    for words in (shlex.split(line, comments=True) for line in examples):
+    for words in examples:
         arguments = words[words.index("cfgplan") + 1 :][: words.index(">") - 1 if ">" in words else None]
         parser_of(arguments).parse_args(arguments)
 

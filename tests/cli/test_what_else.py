@@ -65,7 +65,7 @@ def test_a_name_of_several_kinds_is_done_without_by_its_kind(run: Run, write: Ca
     )
     told = run("solve", env, "--without", "heat")
     assert told.code == 30
-    assert "`heat` names a transformation, a unit, a target" in told.err
+    assert "`heat` names a transformation, a unit and a target" in told.err
     assert "write `transformation heat` or `unit heat` or `target heat`" in told.err
     assert "stove.1" in run("solve", env, "--without", "transformation heat").out
     without_target = run("solve", env, "--without", "target heat").out

@@ -57,7 +57,7 @@ class _Asked(NamedTuple):
     """Bytes of its message."""
 
 
-NOT_READY: Final = 'the program has not written `{"ready": true}`: it must write and flush it before all else'
+NOT_READY: Final = 'the program has not written `{"ready": true}`: it must write and flush it before anything else'
 
 
 class Reply(NamedTuple):

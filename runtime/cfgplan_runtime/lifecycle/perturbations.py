@@ -145,7 +145,7 @@ class LookOver(Perturbation, frozen=True):
 
 
 class CodeChanged(Perturbation, frozen=True):
-    """The code of units has changed: that of `left_out` can't be loaded (`causes`), that of `back` can again."""
+    """The code of units has changed: that of `left_out` can't be loaded (see `causes`), that of `back` can again."""
 
     left_out: tuple[str, ...] = ()
     back: tuple[str, ...] = ()

@@ -18,15 +18,16 @@ _GOOD_AGAIN: Final = 100
 
 
 _ABSURD: Final = 100
-"""A number more than so many times as large as usual is absurd; a variance is, for ten standard deviations."""
+"""A number more than this many times as large as usual is absurd: a variance, if its standard deviation is ten times as
+large."""
 _SURROUNDINGS: Final = 5
-"""The median of so many numbers is usual, so that two absurd ones in a row remain absurd, and three are usual."""
+"""The median of this many numbers is usual: two large ones in a row are absurd, three are usual."""
 
 
 class PlausibleNumbers:
     """The numbers of a series without absurd ones.
 
-    A single absurd number in a mean hides for minutes what other numbers say. A number that seems absurd counts later
+    A single absurd number in a mean hides the other numbers for minutes. A number that seems absurd counts later
     if the next ones show that it is usual now.
     """
 
@@ -113,7 +114,7 @@ class SaidQualities:
             self._sums[port, attribute] = sums
         if absurd is None:
             return ""
-        return f"says {absurd:g} as its {attribute}, more than {_ABSURD} times as much as usual, which does not count"
+        return f"says {absurd:g} as its {attribute}, more than {_ABSURD} times as much as usual: it does not count"
 
     def note(self, port: str, age_s: float) -> None:
         """Measure an output at a value that comes now."""

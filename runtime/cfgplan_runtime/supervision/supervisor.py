@@ -106,7 +106,7 @@ class Supervisor:
         `basis` is the environment that it was planned for. Raises StaleChangeSetError if it differs from the running
         configuration, or the change set names units that do not run; ApplyError if a step failed, or the update
         `is_abandoned` while it waits for new units, and all was undone. With `keeps_new`, new units that have not
-        failed then stay in the environment, unconnected.
+        failed then stay in the environment, unconnected and paused.
         """
         if id is not None and id in self._applied:
             return self._applied[id]

@@ -278,7 +278,7 @@ def carry_out(
 
     Until Commit, the driver throws the exceptions of commands into the generator.
 
-    With `keeps_new`, new units that have not failed then run on, unconnected.
+    With `keeps_new`, new units that have not failed then stay, unconnected and paused.
     """
     wanted = wiring.wanted_feeds(after, {inlet: wire.stream for inlet, wire in actual.feeds.items()})
     update, seconds = _Update(actual, change_set, after, wanted, patience), dict[str, float]()
@@ -412,7 +412,7 @@ class _Update:
                 yield Disconnect(inlet)
 
     def activate(self, units: Iterable[str]) -> Commands:
-        """Let those of the units begin that have not begun yet: sources last, since the others wait for elements."""
+        """Activate the inactive ones of these units, sources last, since the others wait for elements."""
         new = self.actual.inactive & set(units)
         inputs = {unit.id: bool(self.after.transformation[unit.transformation].inputs) for unit in self.after.units}
         for unit in sorted(new, key=lambda unit: (not inputs[unit], unit)):
