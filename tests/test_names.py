@@ -1,4 +1,4 @@
-"""No two classes, types or constants of one room have the same name, and no two modules of tests."""
+"""No two classes, types or constants of one room have the same name, no two modules of tests, and no two files."""
 
 from __future__ import annotations
 
@@ -28,6 +28,13 @@ def test_no_two_modules_of_tests_have_one_name() -> None:
     """pytest imports them without their folder: of two that have one name, the second one can't be collected."""
     files = [path for path in (ROOT / "tests").rglob("*.py") if path.name != "conftest.py"]
     names = Counter(path.stem for path in files if path.name not in STARTED)
+    assert [name for name, number in names.items() if number > 1] == []
+
+
+def test_no_two_files_differ_only_in_the_case_of_letters() -> None:
+    """On macOS, a clone would have only one of them."""
+    tops = ("cfgplan", "runtime", "models", "experiments", "tests")
+    names = Counter(path.as_posix().lower() for top in tops for path in (ROOT / top).rglob("*"))
     assert [name for name, number in names.items() if number > 1] == []
 
 
