@@ -6,11 +6,12 @@ its mind at most 10 times an hour where the truth lies exactly on a bound. Raw v
 
 A value that its noise does not explain (the innovation gate of a Kalman filter) is left out as an outlier, unless the
 last JUMP_VALUES values were all outliers on the same side: then the truth has jumped, and the mean restarts there.
+If values on both sides alternate, it restarts on the side of most of MOST_OUTLIERS outliers in a row.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
 from typing import Final
@@ -22,6 +23,7 @@ BAND_ERRORS: Final = 3
 OUTLIER_ERRORS: Final = 5
 """A value more than this many standard deviations from the mean is an outlier."""
 JUMP_VALUES: Final = 3
+MOST_OUTLIERS: Final = 2 * JUMP_VALUES - 1
 _JUMP_VARIANCE: Final = 0.4487
 """The variance of the median of JUMP_VALUES values, as a share of a single value's: 1 - sqrt(3) / pi."""
 
@@ -59,6 +61,8 @@ class NoisyMean:
     """The number of values in the mean."""
     outliers: tuple[int, ...] = ()
     """The outliers on one side since the last value that counted, at most the last JUMP_VALUES - 1."""
+    before: tuple[int, ...] = ()
+    """The outliers on both sides between that value and these."""
 
     def after(self, value: int, at_s: float, noise: Noise) -> NoisyMean:
         """Return the mean after one more value. The first values have equal weights."""
@@ -67,12 +71,19 @@ class NoisyMean:
             share = max(_share(at_s - self.at_s), 1 / values)
             variance = (1 - share) ** 2 * self.variance + share**2
             return NoisyMean(self.mean + share * (value - self.mean), at_s, variance, values)
-        outliers = (*self.outliers, value)
+        outliers, before = (*self.outliers, value), self.before
         if any((other - self.mean) * (value - self.mean) < 0 for other in self.outliers):
+            before += tuple(other for other in self.outliers if not self._explains(other, noise))
             outliers = (value,)
-        if len(outliers) < JUMP_VALUES:
-            return replace(self, outliers=outliers)
-        return NoisyMean(sorted(outliers)[JUMP_VALUES // 2], at_s, _JUMP_VARIANCE, JUMP_VALUES, outliers[1:])
+        if len(outliers) == JUMP_VALUES:
+            return NoisyMean(_median(outliers), at_s, _JUMP_VARIANCE, JUMP_VALUES, outliers[1:])
+        if len(before) + len(outliers) < MOST_OUTLIERS:
+            return replace(self, outliers=outliers, before=before)
+        above, below = list[int](), list[int]()
+        for other in (*before, *outliers):
+            (above if other > self.mean else below).append(other)
+        most = above if len(above) >= JUMP_VALUES else below
+        return NoisyMean(_median(most[-JUMP_VALUES:]), at_s, _JUMP_VARIANCE, JUMP_VALUES)
 
     def _explains(self, value: int, noise: Noise) -> bool:
         """Return whether a value is so near to the mean that it may be noise.
@@ -97,6 +108,10 @@ class NoisyMean:
             (upper if is_upper else lower).append(bound)
         value = max(round(self.mean), *upper) if upper else round(self.mean)
         return min(value, *(bound - 1 for bound in lower)) if lower else value
+
+
+def _median(values: Sequence[int]) -> int:
+    return sorted(values)[len(values) // 2]
 
 
 def settled_variance(rate_hz: float) -> float:

@@ -147,6 +147,26 @@ def test_a_jump_that_lasts_is_followed_at_its_third_value(
             assert abs(mean.mean - size * sigma) <= 2 * sigma + 1
 
 
+@given(st.lists(st.one_of(ERRORS, CODES.map(float)), min_size=5, max_size=40), RATES_HZ)
+def test_no_five_values_in_a_row_are_left_out(series: list[float], rate_hz: float) -> None:
+    """Three of five are on one side, so that also every second value may be wrong without blinding a run for ever."""
+    mean, unchanged = NoisyMean(0, 0.0), 0
+    for number, error in enumerate(series):
+        before, mean = mean, mean.after(round((50 + error) * SIGMA.amount), number / rate_hz, SIGMA)
+        unchanged = unchanged + 1 if mean.at_s == before.at_s and mean.values == before.values else 0
+        assert unchanged < 5
+
+
+@pytest.mark.parametrize("spikes", [[65535.0], [65535.0, 65535.0], [0.0], [65535.0, 0.0]])
+def test_a_jump_down_or_up_is_followed_among_alternating_wrong_values(spikes: list[float]) -> None:
+    mean = settled(5_000_000, 5.0)
+    truth = 6.0 if spikes == [0.0] else 4.0
+    for number in range(1, 30):
+        for value in (truth, truth, *spikes):
+            mean = mean.after(round(value * 1e6), number * 0.2, SIGMA)
+    assert mean.mean == truth * 1e6
+
+
 @given(st.floats(0, 100), st.floats(0.05, 0.95), RATES_HZ)
 def test_a_jump_of_any_size_is_noticed_as_soon_as_by_a_plain_mean_or_at_its_third_value(
     size: float, part: float, rate_hz: float

@@ -253,8 +253,13 @@ def _main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if setproctitle is not None:
         getproctitle()  # finds the place of titles, for which the environment has to be as it was at the start
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
     for name in modules:
         importlib.import_module(name)
+    if len(os.listdir("/proc/self/task")) > 1:
+        sys.exit(
+            f"a module of {' '.join(modules)} has started a thread: forks of this process might wait for it for ever"
+        )
     gc.collect()
     gc.freeze()  # a collection in a child would copy all that was imported
     order = _serve(socket.socket(fileno=int(number)), int(parent))

@@ -18,7 +18,7 @@ import msgspec
 import pytest
 from cfgplan_runtime import Runtime
 from cfgplan_runtime.children.control import ControlConnection
-from cfgplan_runtime.children.messages import Activate, Deactivate, Finish, ToChild
+from cfgplan_runtime.children.messages import Activate, Deactivate, Finish, HoldSteps, TakeState, ToChild
 from cfgplan_runtime.children.unit_child import UnitChild
 from cfgplan_runtime.children.unit_order import unit_order
 from cfgplan_runtime.streams.channel import Receiver, Sender, socket_pair
@@ -95,6 +95,18 @@ def test_a_unit_that_pauses_gives_nothing_and_then_what_has_waited(code: str) ->
         given = before + [decode(one.payload) for one in receiver.read()]
         assert given == ([0, 0, 1, 1, 2, 2] if code == "twice" else [0, 1, 2])
         receiver.close()
+
+
+def test_a_unit_tells_no_state_before_it_begins_or_while_it_waits_for_one() -> None:
+    """Its state would replace the newer one of the unit that still works in its place."""
+    with child_of(worker("tally", "Tally", run=RunOptions(state=True))) as child:
+        signs = list[bool]()
+        child._ports.say = lambda sign: signs.append(sign.state is not None)  # type: ignore[method-assign, union-attr]
+        for message in (None, Activate(), HoldSteps(), TakeState(None, {}), Deactivate(), Finish()):
+            if message is not None:
+                child._obey(message, [])
+            child._say_status()
+        assert signs == [False, True, False, True, False, False]
 
 
 def test_a_unit_that_is_told_to_end_before_it_begins_makes_the_steps_of_its_elements() -> None:

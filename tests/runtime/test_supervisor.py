@@ -396,6 +396,29 @@ def test_a_unit_that_an_earlier_supervisor_has_told_to_stop_is_awaited_and_then_
     assert "work.1" in supervisor.environment.unit
 
 
+def test_a_unit_that_could_not_be_told_to_begin_is_told_by_the_next_update() -> None:
+    simulation = Simulation()
+    with (
+        mock.patch.object(SimulatedBackend, "activate", side_effect=OSError("no buffer")),
+        pytest.raises(ApplyError, match="no buffer"),
+    ):
+        simulation.apply(start(*ONE), keeps_new=True)
+    simulation.apply(ChangeSet(rewired=ONE[1:]))
+    assert all(one.is_active for one in simulation.backend.units.values())
+    assert set(simulation.backend.units) == {"count.1", "work.1"}
+
+
+def test_a_simulated_unit_gives_nothing_before_it_is_told_to_begin() -> None:
+    backend = SimulatedBackend()
+    backend.start("count.1", source(), None, None)
+    backend.wait(1.0)
+    given = list[bool]()
+    for tell in (lambda _: None, backend.activate, backend.deactivate, backend.activate):
+        tell("count.1")
+        given.append(backend._gives("count.1"))
+    assert given == [False, True, False, True]
+
+
 def test_a_state_that_an_earlier_supervisor_has_known_goes_to_the_next_unit() -> None:
     library = source(), worker(run=RunOptions(state="altitude"))
     backend = SimulatedBackend()

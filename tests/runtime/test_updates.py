@@ -472,6 +472,27 @@ def test_a_unit_that_has_begun_and_that_an_undone_update_keeps_pauses_until_the_
     assert scene.inactive == set()
 
 
+@pytest.mark.parametrize("keeps_new", [False, True])
+def test_a_unit_that_an_undone_update_has_kept_pauses_again_if_the_next_is_undone_too(keeps_new: bool) -> None:
+    library = (source(), worker(), source("give"), worker("bad"))
+    scene = Scene(replace(RUNNING, units=(*RUNNING.units, unit("give.1")), library=library), failing={"bad.1"})
+    scene.quiet, scene.inactive = {"bad.1"}, {"give.1"}
+    started = (unit("bad.1", topic="/result", x="give.1/n"),)
+    with pytest.raises(ApplyError, match="bad luck"):
+        scene.carry_out(ChangeSet(started, rewired=(replace(WORK, publications=()),)), keeps_new=keeps_new)
+    assert "begin give.1" in scene.said
+    assert scene.inactive == {"give.1"}
+
+
+@pytest.mark.parametrize("kept", ["high.0", "high.2"])
+def test_a_state_comes_from_the_active_one_of_two_units_that_end(kept: str) -> None:
+    """The other one was kept by an undone update: its state is that of its start."""
+    scene = Scene(replace(MODES, units=(*MODES.units, unit(kept))))
+    scene.inactive = {kept}
+    scene.carry_out(replace(LOWER, stopped=("high.1", kept)))
+    assert "give low.1 that of high.1 ['x']" in scene.said
+
+
 def test_what_was_rewired_goes_back_before_the_new_unit_ends() -> None:
     scene = Scene(quiet={"work.2"})
     commands = carry_out(scene, SWAP, environment_after(RUNNING, SWAP), Patience())

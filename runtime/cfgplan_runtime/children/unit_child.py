@@ -88,7 +88,9 @@ class UnitChild:
         self._results: Iterator[Given] | None = None
         self._next_step: Step | None = None
         self._is_active = False
-        """Whether it may give results. Before, an output may lack a subscription, and elements would be lost."""
+        """Whether all its streams are connected. Before, elements that it gives would be lost, and its state is older
+        than that of the unit that it replaces.
+        """
         self._is_exhausted = self._is_finishing = self._is_interrupted = self._is_closing = False
         self._since_ns = _NEVER_NS
         """Since when unit code is at one piece of work; _NEVER_NS while it is not called."""
@@ -223,7 +225,11 @@ class UnitChild:
                 self._handover.stay()
             case messages.Finish():
                 self._ports.drain()
-                self._is_active = self._is_finishing = True
+                self._is_finishing = True
+
+    @property
+    def _may_give(self) -> bool:
+        return self._is_active or self._is_finishing
 
     @property
     def _has_work(self) -> bool:
@@ -232,11 +238,11 @@ class UnitChild:
 
     @property
     def _has_results(self) -> bool:
-        return self._is_active and self._results is not None
+        return self._may_give and self._results is not None
 
     @property
     def _has_replies(self) -> bool:
-        return self._is_active and self._program is not None and bool(self._program.replies)
+        return self._may_give and self._program is not None and bool(self._program.replies)
 
     @property
     def _owes(self) -> bool:
@@ -249,7 +255,7 @@ class UnitChild:
 
     @property
     def _pending(self) -> Step | None:
-        may = self._is_active and not self._is_source and not self._handover.is_waiting
+        may = self._may_give and not self._is_source and not self._handover.is_waiting
         if self._next_step is None and may:
             self._handover.refill()
             self._next_step = self._steps.next()
@@ -415,7 +421,7 @@ class UnitChild:
                 self._errors,
                 self._input_counts(),
                 self._ports.output_counts(),
-                self._state(),
+                self._state() if self._is_active and not self._handover.is_waiting else None,
                 self._qualities.taken(),
             )
         )

@@ -65,6 +65,7 @@ class _Unit:
     state: bytes | None
     host: str | None
     is_ready: bool = False
+    is_active: bool = False
     is_stopping: bool = False
     is_held: bool = False
     steps: int = 0
@@ -242,9 +243,16 @@ class SimulatedBackend:
 
     def activate(self, unit: str) -> None:
         self.calls.append(("activate", unit))
+        if unit in self.units:
+            self.units[unit].is_active = True
+            for port in self._inputs.values():
+                if port.standby is not None and self.wires[port.standby][0].unit == unit:
+                    self._switch_soon(port)
 
     def deactivate(self, unit: str) -> None:
         self.calls.append(("deactivate", unit))
+        if unit in self.units:
+            self.units[unit].is_active = False
 
     def hold(self, unit: str) -> None:
         self.calls.append(("hold", unit))
@@ -281,10 +289,14 @@ class SimulatedBackend:
             self._later(0.0, WireSwitched(wire))
             return
         port.standby = wire
-        producer = self.units.get(stream.unit)
+        self._switch_soon(port)
+
+    def _switch_soon(self, port: _Input) -> None:
+        assert port.active is not None and port.standby is not None
+        producer = self.units.get(self.wires[port.standby][0].unit)
         old = self.wires[port.active][0].unit  # the inlet waits for an old source that neither gives nor ends
-        if producer is not None and not producer.behaviour.quiet and self._gives(old):
-            self._later(self.switch_s, WireSwitched(wire))
+        if producer is not None and producer.is_active and not producer.behaviour.quiet and self._gives(old):
+            self._later(self.switch_s, WireSwitched(port.standby))
 
     def disconnect(self, wire: int, inlet: Inlet) -> None:
         self.calls.append(("disconnect", str(inlet)))
@@ -390,7 +402,12 @@ class SimulatedBackend:
     def _gives(self, unit: str, above: frozenset[str] = frozenset()) -> bool:
         """Whether a unit gives elements now: all that it needs must, but for units in `above`, which close a cycle."""
         found = self.units.get(unit)
-        if found is None or not found.is_ready or found.behaviour.quiet or found.behaviour.failing:
+        if (
+            found is None
+            or not (found.is_ready and found.is_active)
+            or found.behaviour.quiet
+            or found.behaviour.failing
+        ):
             return False
         above |= {unit}
         return all(

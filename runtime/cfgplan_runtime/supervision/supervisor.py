@@ -387,8 +387,8 @@ class Supervisor:
             raise
 
     def _activate(self, unit: str) -> None:
-        self.inactive.discard(unit)
         self.backend.activate(unit)
+        self.inactive.discard(unit)
 
     def _new_record(self, unit: ComputationUnit, transformation: Transformation) -> UnitRecord:
         return UnitRecord(transformation.label, unit.host, sign_s=self.now(), state_name=transformation.state_name)

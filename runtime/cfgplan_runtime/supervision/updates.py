@@ -346,6 +346,8 @@ class _Update:
     """The units that wait for a state."""
     asked: set[str] = field(default_factory=set)
     """The units that were asked for their state."""
+    activated: set[str] = field(default_factory=set)
+    """The units that began in the update: new ones, and those that an undone update has kept."""
 
     @property
     def started(self) -> list[str]:
@@ -416,14 +418,18 @@ class _Update:
         new = self.actual.inactive & set(units)
         inputs = {unit.id: bool(self.after.transformation[unit.transformation].inputs) for unit in self.after.units}
         for unit in sorted(new, key=lambda unit: (not inputs[unit], unit)):
+            self.activated.add(unit)
             yield ActivateUnit(unit)
 
     def heirs(self) -> dict[str, str]:
-        """The fresh units that continue with the state of an ending unit, upstream units first, each with that unit."""
+        """The fresh units that continue with the state of an ending unit, upstream units first, each with that unit.
+
+        An active unit counts before an inactive one: the state of a unit that an undone update has kept is older.
+        """
         actual, ending = self.actual, self.actual.alive & set(self.change_set.stopped)
         old = {
             name: unit.id
-            for unit in actual.environment.units
+            for unit in sorted(actual.environment.units, key=lambda unit: unit.id not in actual.inactive)
             if unit.id in ending and (name := _state_name(actual.environment, unit)) is not None
         }
         heirs = {
@@ -505,7 +511,8 @@ class _Update:
         actual, wanted = self.actual, self.wanted
         kept = actual.alive & set(self.started) - set(failed) if keeps_new else set[str]()
         yield SetEnvironment(self.with_unconnected(kept))
-        waiting = kept & self.wired() - wiring.wanted_to_run(self.after)  # until the next update connects them
+        unconnected = kept | (self.activated - set(self.started))
+        waiting = unconnected & self.wired() - wiring.wanted_to_run(self.after)  # until the next update connects them
         yield from self.activate(kept - waiting)
         back = {inlet: old for inlet, old in reversed(self.rewired.items()) if inlet.unit not in self.started}
         self.rewired.clear()
