@@ -256,7 +256,7 @@ def _main() -> None:
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     for name in modules:
         importlib.import_module(name)
-    if len(os.listdir("/proc/self/task")) > 1:
+    if len([*Path("/proc/self/task").iterdir()]) > 1:
         sys.exit(
             f"a module of {' '.join(modules)} has started a thread: forks of this process might wait for it for ever"
         )
