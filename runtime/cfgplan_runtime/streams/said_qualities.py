@@ -17,9 +17,12 @@ _GOOD_AGAIN: Final = 100
 """A fault is told again only after so many good values in a row."""
 
 
-_ABSURD: Final = 100
-"""A number more than this many times as large as usual is absurd: a variance, if its standard deviation is ten times as
-large."""
+_ABSURD: Final = 1000
+"""A number more than this many times as large as usual is absurd.
+
+Bursts are smaller: a latency a hundred times as long is common. A sensor's code for "nothing seen", such as 65535,
+mostly is larger.
+"""
 _SURROUNDINGS: Final = 5
 """The median of this many numbers is usual: two large ones in a row are absurd, three are usual."""
 
