@@ -38,6 +38,8 @@ from experiments.fleet import instances
 
 SLOWER = 1.1
 """A family that takes so many times as long is one too many."""
+AGAIN_S, MOST_TIMES = 0.4, 5
+"""An instance is planned again until this many CPU seconds are spent, at most so many times."""
 Made = list[Problem]
 """What one session plans, one after the other."""
 
@@ -117,19 +119,22 @@ class Figures(NamedTuple):
 
 
 def measured(family: str, seed: int, limit_s: float) -> Figures:
-    """Plan an instance in this process."""
+    """Plan an instance in this process; again, made anew, while that is soon done: the least time counts."""
     from cfgplan.planners.cpsat import PlannerSession
 
-    made, session = FAMILIES[family](seed), PlannerSession()
     small = _required(0, 40), instances.weighted(0, 40, 2), instances.surviving(0, 12, 1)
     for problem in (*small, *FAMILIES["500, a third running, 8 targets"](0)):
         PlannerSession().plan(problem)  # so that no import is measured
-    gc.collect()
-    gc.freeze()  # so that no plan is charged for a look through all that was imported
-    began = time.process_time()
-    for problem in made:
-        found = session.plan(problem, time_limit_s=limit_s)
-    took_s, changes = time.process_time() - began, found.change_set
+    times_s: list[float] = []
+    while sum(times_s) < AGAIN_S and len(times_s) < MOST_TIMES:
+        made, session = FAMILIES[family](seed), PlannerSession()
+        gc.collect()
+        gc.freeze()  # so that no plan is charged for a look through all that was there before
+        began = time.process_time()
+        for problem in made:
+            found = session.plan(problem, time_limit_s=limit_s)
+        times_s.append(time.process_time() - began)
+    took_s, changes = min(times_s), found.change_set
     counts = [len(changes.rewired), len(changes.started)] if changes is not None else None
     is_proven = found.status not in (Status.FEASIBLE, Status.UNKNOWN)
     gap = 0.0 if is_proven else 1 - found.bound_us / found.cost_us if found.cost_us else 1.0
