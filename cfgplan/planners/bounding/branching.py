@@ -58,6 +58,7 @@ class Ways:
     def __init__(self, links: Links, price: list[int], most: int = LEFT_OUT) -> None:
         """Facts that cost `most` or more at first count as out of reach."""
         self._links = links
+        self._gives = links.gives
         self._price = price
         self._facts = [most] * len(links.providers)
         self._before = [LEFT_OUT] * (links.goal + 1)
@@ -106,15 +107,14 @@ class Ways:
                 yield fact
 
     def _offer(self, label: int, ahead: list[tuple[int, int]]) -> None:
-        """Put ahead the facts that a label gives more cheaply than was known."""
-        if label == self._links.goal:
-            return
-        facts = self._facts
-        cost = self._before[label] + self._price[label]
-        for given in self._links.gives[label]:
-            if cost < facts[given]:
-                facts[given], self._provider[given] = cost, label
-                heappush(ahead, (cost, given))
+        """Put ahead the facts that a label gives more cheaply than was known. The goal gives none."""
+        if gives := self._gives[label]:
+            facts, cost = self._facts, self._before[label] + self._price[label]
+            for given in gives:
+                if cost < facts[given]:
+                    facts[given] = cost
+                    self._provider[given] = label
+                    heappush(ahead, (cost, given))
 
     def landmark(self) -> tuple[int, ...]:
         """Return a landmark: the labels that may be first to enter the zone from which the goal comes free of charge by

@@ -42,7 +42,7 @@ def wire(candidates: Candidates, chosen: Collection[int]) -> list[ComputationUni
     None if they do not ground each other. Where nothing is asked beyond the paper, those that nothing needs are left
     out. Raises OutOfTimeError by the candidates' clock.
     """
-    grounded, places = Grounded(candidates, chosen, None), Places(candidates)
+    grounded, places = Grounded(candidates, chosen, None), Places(candidates, {})
     if len(grounded.order) < len(chosen) or not places.put_all(grounded):
         return None
     units = places.units(grounded)
@@ -87,14 +87,17 @@ class Configuration:
         hot: Collection[int],
         attribute: QualityAttribute | None,
         spare_us: Floats,
+        wished: Mapping[int, HostName],
     ) -> None:
-        """Inputs take the streams whose `attribute` is best; `spare_us` are the `spare_prices`."""
+        """Inputs take the streams whose `attribute` is best; `spare_us` are the `spare_prices`. Candidates are placed
+        on the hosts `wished` for them, if these have room.
+        """
         self.candidates = candidates
         self._spare_us = spare_us
         self.hot = set(hot)
         self.cold: set[int] = set()
         self._attribute = attribute
-        self._places = Places(candidates)
+        self._places = Places(candidates, wished)
         self._grounded = Grounded(candidates, (), attribute)
 
     def units(self) -> list[ComputationUnit] | None:

@@ -5,10 +5,13 @@ Some rules are not kept on the way: a plan that breaks one is refused when it is
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
+from functools import cached_property
+from types import MappingProxyType
 
-from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.planners.exact.configuration import Configuration, spare_prices
+from cfgplan.planners.exact.placed import PlacedNetwork
 from cfgplan.planners.exact.solve_state import SolveState
 from cfgplan.planners.networks.core import Floats
 from cfgplan.planners.networks.greedy import FREE, plan_at
@@ -38,7 +41,7 @@ class FirstPlans:
         candidates, state = self.candidates, self.state
         if len(self.network.targets) < len(candidates.environment.targets):
             return
-        price = self._first()
+        price = self._price
         tried: set[str] = set()
         while price is not None and state.best is not None and len(tried) < attempts:
             if state.clock.is_over() or state.is_at_bound:
@@ -53,8 +56,11 @@ class FirstPlans:
             around[ahead[0]] = np.inf
             self._offer_supports(around)
 
-    def _first(self) -> Floats | None:
+    @cached_property
+    def _price(self) -> Floats | None:
         """Prices at which a first plan was found; None if none was.
+
+        A plan that pays for what it carries is offered last.
 
         Prices are costs, plus more and more for each `_burden`. Where quality has a price, those with the best plan are
         returned.
@@ -72,7 +78,17 @@ class FirstPlans:
                 found = priced
             if self.state.is_at_bound or (found is not None and not self._is_weighed):
                 break
+        if not self.state.is_at_bound:
+            self._offer_placed()
         return found
+
+    def _offer_placed(self) -> None:
+        """Offer a plan that pays for what it carries from host to host, unless that costs nothing."""
+        candidates, environment = self.candidates, self.candidates.environment
+        if len(environment.hosts) > 1 and any(environment.prices_us):
+            host_of = PlacedNetwork(candidates).cheap_plan(self.state.clock.tuning.begin.attempts)
+            labels = {candidates.all[i].transformation.label for i in host_of}
+            self.offer(self.units_of(self._with_companions(labels, self._run_us + 1)).union(host_of), host_of)
 
     def _burden(self) -> Floats:
         """Each transformation's burden: badness that it adds or, with no attribute, its share of hosts' resources."""
@@ -140,9 +156,11 @@ class FirstPlans:
             chosen.update(numbers[: max(1, pinned, candidates.environment.transformation[label].min_instances)])
         return chosen
 
-    def offer(self, hot: Collection[int]) -> bool:
-        """Offer a configuration in which these candidates run; False if it is not valid."""
-        units = Configuration(self.candidates, hot, self._attribute, self._spare_us).units()
+    def offer(self, hot: Collection[int], wished: Mapping[int, HostName] = MappingProxyType({})) -> bool:
+        """Offer a configuration in which these candidates run, on the hosts `wished` if these have room; False if it is
+        not valid.
+        """
+        units = Configuration(self.candidates, hot, self._attribute, self._spare_us, wished).units()
         return units is not None and self.state.offer(self.candidates, units) is not None
 
 

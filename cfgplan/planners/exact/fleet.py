@@ -155,7 +155,9 @@ def look_among_few(candidates: Candidates, state: SolveState, first: FirstPlans)
     """Search among the incumbent's transformations and a growing number of others; offer plans and raise the bound."""
     from cfgplan.planners.exact.search import Search
 
-    tuning, order = state.clock.tuning, _by_reduced_cost(candidates, remaining_by_bounds(candidates, state).bound)
+    tuning = state.clock.tuning
+    is_small = len(candidates.network.labels) < 2 * min(tuning.fleet.sizes)
+    order = [] if is_small else _by_reduced_cost(candidates, remaining_by_bounds(candidates, state).bound)
     sizes = [size for size in tuning.fleet.sizes if 2 * size <= len(order)]
 
     def among(size: int) -> Candidates:

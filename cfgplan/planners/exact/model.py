@@ -268,12 +268,11 @@ class Model:
 
     def ways(self, stream: Stream, host: HostName) -> list[IntVar]:
         """Return booleans for the ways to have a stream on a host; a present stream implies one of them."""
-        unit = self.unit_of(stream)
-        is_made_elsewhere = self.runs_on[unit].keys() != {host}
-        if host is not None and stream in self.placed and is_made_elsewhere and (stream, host) not in self.carried:
+        is_new = host is not None and stream in self.placed and (stream, host) not in self.carried
+        if is_new and (journeys_us := self.journeys_us(stream, host)):
             carried = self.carried[stream, host] = self.boolean()
-            self.more_costs.append(min(self.journeys_us(stream, host).values()) * carried)
-            self.rests_on_all(carried, [self.runs[unit]])
+            self.more_costs.append(min(journeys_us.values()) * carried)
+            self.rests_on_all(carried, [self.runs[self.unit_of(stream)]])
         return self.known_ways(stream, host)
 
     def known_ways(self, stream: Stream, host: HostName) -> list[IntVar]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from functools import partial
 
 from cfgplan.domain import ComputationUnit, Stream
@@ -13,10 +13,14 @@ from cfgplan.planners.exact.wiring import wired
 
 
 class Places:
-    """A partial placement: the host of each unit and cold spare, and the stream of each input and target."""
+    """A partial placement: the host of each unit and cold spare, and the stream of each input and target.
 
-    def __init__(self, candidates: Candidates) -> None:
+    A unit comes on the host `wished` for it if that has room.
+    """
+
+    def __init__(self, candidates: Candidates, wished: Mapping[int, HostName]) -> None:
         self.candidates = candidates
+        self._wished = wished
         self.host_of: dict[int, HostName] = {}
         self.feeds: dict[tuple[int, str], Stream] = {}
         self.published: dict[str, Stream] = {}
@@ -46,14 +50,17 @@ class Places:
         return False
 
     def _by_price(self, grounded: Grounded, unit: int, hosts: Iterable[HostName]) -> list[HostName]:
-        """The hosts for a unit: by missing company, then by the cost of running it and of carrying its inputs there."""
+        """The hosts for a unit: the one wished for it, then by missing company, then by the cost of running it and of
+        carrying its inputs there.
+        """
         candidate, missing = self.candidates.all[unit], self._loads.missing_companions
         horizon_s = self.candidates.problem.horizon_s
 
-        def price(host: HostName) -> tuple[int, int, str]:
+        def price(host: HostName) -> tuple[bool, int, int, str]:
             carry_us = self._carry_us(grounded, unit, host)
             cost_us = candidate.places[host].cost_us + carry_us + self._loads.rent_us(host) * horizon_s
-            return missing(candidate.transformation, host), cost_us, host or ""
+            is_other = self._wished.get(unit, host) != host
+            return is_other, missing(candidate.transformation, host), cost_us, host or ""
 
         return sorted(hosts, key=price)
 

@@ -11,11 +11,11 @@ from heapq import nsmallest
 from typing import TypeAlias
 
 from cfgplan.planners.networks.core import MOST_PASSES, Floats, Ints
-from cfgplan.planners.networks.network import Network
+from cfgplan.planners.networks.network import Choosable
 from cfgplan.planners.networks.reach import Reach
 from cfgplan.planners.solving.arrays import np
 from cfgplan.planners.solving.clock import Clock
-from cfgplan.reasons import Each, assign_different
+from cfgplan.reasons import Each
 
 Costs: TypeAlias = "Sequence[int] | Ints"
 """The cost of each label: a list, or an array."""
@@ -25,7 +25,7 @@ FREE = 1e-3
 """The price of a label that is there already: of two such supports the smaller one is better."""
 
 
-def first_plan(network: Network, cost: Costs, attempts: int, clock: Clock) -> set[int] | None:
+def first_plan(network: Choosable, cost: Costs, attempts: int, clock: Clock) -> set[int] | None:
     """A plan, after up to `attempts` attempts to do without one of its members; None if none was found.
 
     Raises OutOfTimeError if the time ends before a first plan.
@@ -34,7 +34,7 @@ def first_plan(network: Network, cost: Costs, attempts: int, clock: Clock) -> se
     return None if plan is None else with_less(network, cost, plan, attempts, clock)
 
 
-def with_less(network: Network, cost: Costs, plan: set[int], attempts: int, clock: Clock) -> set[int]:
+def with_less(network: Choosable, cost: Costs, plan: set[int], attempts: int, clock: Clock) -> set[int]:
     """The plan, or a cheaper one after up to `attempts` attempts to do without one of its members."""
     tried: set[int] = set()
     while len(tried) < attempts and not clock.is_over():
@@ -49,12 +49,12 @@ def with_less(network: Network, cost: Costs, plan: set[int], attempts: int, cloc
     return plan
 
 
-def _prices(network: Network, cost: Costs) -> list[float] | Floats:
+def _prices(network: Choosable, cost: Costs) -> list[float] | Floats:
     """Return the labels' costs as prices, as a list if the network is small; a label that costs nothing is not free."""
     return [float(one) + 1.0 for one in cost] if network.core.is_small else np.asarray(cost, np.float64) + 1.0
 
 
-def _without(network: Network, cost: Costs, plan: set[int], label: int) -> set[int]:
+def _without(network: Choosable, cost: Costs, plan: set[int], label: int) -> set[int]:
     """The plan, or a cheaper one that avoids `label` and has the other members for nothing."""
     price = np.asarray(cost, np.float64) + 1.0
     price[list(plan)] = FREE
@@ -68,7 +68,7 @@ def cost_of(cost: Costs, labels: Iterable[int]) -> int:
     return sum(int(cost[label]) for label in labels)
 
 
-def plan_at(network: Network, cost: Costs, price: list[float] | Floats, each: Each = iter) -> set[int] | None:
+def plan_at(network: Choosable, cost: Costs, price: list[float] | Floats, each: Each = iter) -> set[int] | None:
     """A cheapest support of the goal by h_add at these prices, without redundant labels; None if it is no plan."""
     total = _total_in_lists(network, price) if isinstance(price, list) else _total(network, price)
     if total is None:
@@ -77,13 +77,13 @@ def plan_at(network: Network, cost: Costs, price: list[float] | Floats, each: Ea
     return without_redundant(network, cost, chosen) if is_plan(network, chosen, each) else None
 
 
-def support_of(network: Network, cost: Costs, label: int) -> set[int]:
+def support_of(network: Choosable, cost: Costs, label: int) -> set[int]:
     """The labels by which the label is fed most cheaply, by h_add."""
     total = _total(network, np.asarray(cost, np.float64) + 1.0)
     return set() if total is None else _below(network, [label], total) - {label}
 
 
-def _total(network: Network, price: Floats) -> list[float] | None:
+def _total(network: Choosable, price: Floats) -> list[float] | None:
     """h_add of each label with its own price; None if the goal is out of reach."""
     core = network.core
     facts = np.full(len(core.providers), np.inf)
@@ -99,7 +99,7 @@ def _total(network: Network, price: Floats) -> list[float] | None:
     return (labels[:-1] + price).tolist() if np.isfinite(labels[core.goal]) else None
 
 
-def _total_in_lists(network: Network, price: list[float]) -> list[float] | None:
+def _total_in_lists(network: Choosable, price: list[float]) -> list[float] | None:
     """The same as `_total`, without arrays."""
     core = network.core
     found = core.facts_one_by_one(price, _added)
@@ -114,7 +114,7 @@ def _added(values: list[float]) -> float:
     return min(sum(values), COST_CAP) if max(values) < math.inf else math.inf
 
 
-def _below(network: Network, labels: list[int], total: list[float], each: Each = iter) -> set[int]:
+def _below(network: Choosable, labels: list[int], total: list[float], each: Each = iter) -> set[int]:
     """These labels but the goal, and the cheapest providers of all facts needed, directly or through others."""
     chosen = set(labels)
     fed: set[int] = set()
@@ -127,7 +127,7 @@ def _below(network: Network, labels: list[int], total: list[float], each: Each =
     return chosen - {network.core.goal}
 
 
-def _feeders(network: Network, label: int, total: list[float], fed: set[int]) -> list[int]:
+def _feeders(network: Choosable, label: int, total: list[float], fed: set[int]) -> list[int]:
     feeders = []
     for fact in network.core.needs.lists[label]:
         if fact not in fed:
@@ -136,29 +136,10 @@ def _feeders(network: Network, label: int, total: list[float], fed: set[int]) ->
             feeders += (
                 nsmallest(takes, providers, total.__getitem__) if takes else [min(providers, key=total.__getitem__)]
             )
-    if label in network.special:
-        transformation = network.transformations[label]
-        for group in transformation.distinct_groups:
-            by_price = {
-                port.name: sorted(
-                    network.core.providers.lists[network.fact_of_tag[port.tag]], key=lambda i: (total[i], i)
-                )
-                for port in group
-            }
-            feeders += [network.number[i] for i in _assigned(network, by_price)]
-        for port in transformation.needed_inputs:
-            if port.feedback:
-                providers = network.core.providers.lists[network.fact_of_tag[port.tag]]
-                feeders.append(min(providers, key=total.__getitem__))
-    return feeders
+    return feeders + network.special_feeders(label, total) if label in network.special else feeders
 
 
-def _assigned(network: Network, by_price: dict[str, list[int]]) -> list[str]:
-    chosen = assign_different({name: [network.labels[i] for i in order] for name, order in by_price.items()})
-    return sorted(chosen.values()) if chosen is not None else []
-
-
-def without_redundant(network: Network, cost: Costs, chosen: set[int]) -> set[int]:
+def without_redundant(network: Choosable, cost: Costs, chosen: set[int]) -> set[int]:
     """Return the plan without redundant labels; the most expensive are dropped first."""
     gives_of, needs, takes = network.core.gives.lists, network.core.needs.lists, network.core.multi_takes
     givers_left: dict[int, int] = {}
@@ -179,25 +160,12 @@ def without_redundant(network: Network, cost: Costs, chosen: set[int]) -> set[in
     return chosen
 
 
-def is_plan(network: Network, chosen: set[int], each: Each = iter) -> bool:
+def is_plan(network: Choosable, chosen: set[int], each: Each = iter) -> bool:
     """Whether the labels have a grounded wiring among themselves that meets the goal."""
     order = Reach(network.core, [*sorted(chosen), network.core.goal], each).order
     before: set[int] = set()
     for label in order:
-        if label in network.special and not _special_inputs_are_fed(network, label, before, chosen):
+        if label in network.special and not network.special_inputs_are_fed(label, before, chosen):
             return False
         before.add(label)
     return len(order) == len(chosen) + 1
-
-
-def _special_inputs_are_fed(network: Network, label: int, before: set[int], chosen: set[int]) -> bool:
-    """Whether distinct groups can be filled and feedback inputs fed; in doubt (a later feeder) False."""
-    transformation = network.transformations[label]
-
-    def feeders(tag: str, among: set[int]) -> list[str]:
-        return [network.labels[i] for i in network.core.providers.lists[network.fact_of_tag[tag]] if i in among]
-
-    return all(feeders(p.tag, chosen) for p in transformation.needed_inputs if p.feedback) and all(
-        assign_different({p.name: feeders(p.tag, chosen if p.feedback else before) for p in group}) is not None
-        for group in transformation.distinct_groups
-    )

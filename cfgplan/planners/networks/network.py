@@ -15,15 +15,33 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from cfgplan.costs import keep_cost_us, start_cost_us
-from cfgplan.domain import Transformation
+from cfgplan.domain import InputPort, Transformation
 from cfgplan.planners.networks.core import NEVER, Core, Ints, Rows, multi_facts_of_group
 from cfgplan.planners.networks.keys import Key, may_stay
 from cfgplan.planners.solving.arrays import np
 from cfgplan.planning import Problem
-from cfgplan.reasons import Each, Providers
+from cfgplan.reasons import Each, Providers, assign_different
 
 
-class Network:
+class Choosable:
+    """A core whose labels are chosen: `pinned` ones run in every plan, and of `special` ones the core does not say all
+    that they need.
+    """
+
+    core: Core
+    pinned: Sequence[int] = ()
+    special: frozenset[int] = frozenset()
+
+    def special_feeders(self, label: int, total: Sequence[float]) -> list[int]:
+        """Feeders of a special label for the inputs of which the core does not say all, cheap by `total`."""
+        raise NotImplementedError
+
+    def special_inputs_are_fed(self, label: int, before: set[int], chosen: set[int]) -> bool:
+        """Whether labels `before` a special one, and those chosen, can feed these inputs. In doubt False."""
+        raise NotImplementedError
+
+
+class Network(Choosable):
     """The core of a problem with the names of its labels and the facts of its tags.
 
     `special` are the labels with distinct or feedback inputs, `pinned` those that run in every plan. The only
@@ -80,6 +98,33 @@ class Network:
             Rows.of(providers for providers, _ in facts),
             takes=np.array([takes for _, takes in facts], np.int64) if takes_several else None,
         )
+
+    def special_feeders(self, label: int, total: Sequence[float]) -> list[int]:
+        """Different feeders for the inputs of a distinct group, and one for each feedback input."""
+        transformation, feeders = self.transformations[label], list[int]()
+        for group in transformation.distinct_groups:
+            by_price = {
+                port.name: [self.labels[i] for i in sorted(self._providers(port), key=lambda i: (total[i], i))]
+                for port in group
+            }
+            feeders += [self.number[one] for one in sorted((assign_different(by_price) or {}).values())]
+        feedback = (port for port in transformation.needed_inputs if port.feedback)
+        return [*feeders, *(min(self._providers(port), key=total.__getitem__) for port in feedback)]
+
+    def special_inputs_are_fed(self, label: int, before: set[int], chosen: set[int]) -> bool:
+        """Whether distinct groups can be filled and feedback inputs fed; in doubt (a later feeder) False."""
+        transformation = self.transformations[label]
+
+        def feeders(port: InputPort, among: set[int]) -> list[str]:
+            return [self.labels[i] for i in self._providers(port) if i in among]
+
+        return all(feeders(p, chosen) for p in transformation.needed_inputs if p.feedback) and all(
+            assign_different({p.name: feeders(p, chosen if p.feedback else before) for p in group}) is not None
+            for group in transformation.distinct_groups
+        )
+
+    def _providers(self, port: InputPort) -> list[int]:
+        return self.core.providers.lists[self.fact_of_tag[port.tag]]
 
 
 def costs(problem: Problem, network: Network) -> tuple[int, list[int]]:
