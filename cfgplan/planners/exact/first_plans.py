@@ -60,11 +60,13 @@ class FirstPlans:
     def _price(self) -> Floats | None:
         """Prices at which a first plan was found; None if none was.
 
-        A plan that pays for what it carries is offered last.
+        If these are the first plans of all, one that pays for what it carries is offered last: to replan takes less
+        time than to look for that.
 
         Prices are costs, plus more and more for each `_burden`. Where quality has a price, those with the best plan are
         returned.
         """
+        is_first = self.state.best is None
         price = self._run_us + 1
         if self.candidates.problem.survive is not None:
             price += np.minimum(self._spare_us, self._run_us)
@@ -78,7 +80,7 @@ class FirstPlans:
                 found = priced
             if self.state.is_at_bound or (found is not None and not self._is_weighed):
                 break
-        if not self.state.is_at_bound:
+        if is_first and not self.state.is_at_bound:
             self._offer_placed()
         return found
 
