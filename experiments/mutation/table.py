@@ -316,13 +316,13 @@ MODEL = _room(
     (
         "streams are carried for nothing",
         "model.py",
-        "min(self.journeys_us(stream, host).values()) * carried",
+        "min(journeys_us.values()) * carried",
         "0 * carried",
     ),
     (
         "what does not run is carried",
         "model.py",
-        "self.rests_on_all(carried, [self.runs[unit]])",
+        "self.rests_on_all(carried, [self.runs[self.unit_of(stream)]])",
         "self.rests_on_all(carried, [])",
     ),
     ("a unit may fail alone", "survival.py", "least = 2 if each.host is None else 1", "least = 1"),
