@@ -15,7 +15,7 @@ from warm import command
 from words import ENVIRONMENT, await_pid, listening, pid_of, process_of_the_run, write_words
 
 pytestmark = pytest.mark.usefixtures("warm_cfgplan")
-HANG = ENVIRONMENT.replace("params: {rate: 100", "run: {hang: 2}\n    params: {rate: 100")
+HANG = ENVIRONMENT.replace("params: {rate", "run: {hang: 2}\n    params: {rate")
 
 
 @pytest.fixture
@@ -35,7 +35,7 @@ def test_nodes_that_die_or_hang_are_replaced_and_the_others_stay(run: Popen[str]
         numbers = (int(shout.removesuffix("!")) for shout in shouts)
         shouter, talker = await_pid("/shouter_1"), await_pid("/talker_1")
         for number, told in ((signal.SIGKILL, "UnitDied"), (signal.SIGSTOP, "UnitHung")):
-            reached = max(islice(numbers, 500))
+            reached = max(islice(numbers, 125))
             os.kill(talker, number)
             await_event(run, told, unit="talker.1")
             eventually(lambda before=talker: pid_of("/talker_1") not in (0, before))

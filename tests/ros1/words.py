@@ -22,7 +22,7 @@ format: cfgplan/1
 transformations:
   - label: talker
     source: node:./talking.py talker
-    params: {rate: 100, first: 1000}
+    params: {rate: 25, first: 1000}
     outputs: {words: {tag: Word, type: std_msgs/String, remap: chatter}}
   - label: shouter
     source: node:./talking.py shouter
