@@ -191,7 +191,7 @@ def warm_nurseries() -> Iterator[None]:
     from cfgplan_runtime.processes import nursery_link
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(nursery_link, "subprocess", warm_subprocess("cfgplan_runtime.processes.nursery"))
+        patch.setattr(nursery_link, "subprocess", warm_subprocess("cfgplan_runtime.processes.nursery", "numpy.random"))
         yield
 
 
@@ -201,7 +201,7 @@ def warm_agents() -> Iterator[None]:
     from cfgplan_runtime.fleet import local
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(local, "subprocess", warm_subprocess("cfgplan_runtime.fleet.agent", "zenoh"))
+        patch.setattr(local, "subprocess", warm_subprocess("cfgplan_runtime.fleet.agent", "zenoh", "numpy.random"))
         yield
 
 

@@ -41,7 +41,7 @@ def real_bench(folder: Path, code: str, run: RunOptions, **more: Any) -> Iterato
     with Runtime(folder=folder, **more) as runtime:
         yield Bench(
             runtime,
-            source(source="units.py:count", run=RunOptions(rate_hz=100)),
+            source(source="units.py:count", run=RunOptions(rate_hz=40)),
             worker(source=code, params=params, run=run),
             worker("broken", source=code, params={**params, "deed": "die at start"}, run=run),
             lambda unit: signal_unit(runtime, unit),
@@ -65,7 +65,7 @@ def endings_in(folder: Path) -> Endings:
         file = notes / label
         return len(file.read_text()) if file.exists() else 0
 
-    run = RunOptions(stop_us=STOP_US, rate_hz=50)
+    run = RunOptions(stop_us=STOP_US, rate_hz=40)
     generator = source("generator", source="kit_units.py:generator", params={"notes": str(notes)}, run=run)
     return Endings(
         (generator, *(of(label, code) for label, code in WAYS.items())),

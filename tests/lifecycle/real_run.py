@@ -56,10 +56,10 @@ PROGRAM = '''
 
 import json, os, sys
 
-import msgspec
-
 params = json.loads(os.environ["CFGPLAN_PARAMS"])
 standard_input, is_msgpack = sys.stdin.buffer, sys.argv[1:] == ["msgpack"]
+if is_msgpack:
+    import msgspec
 
 
 def say(message):

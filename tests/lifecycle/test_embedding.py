@@ -378,20 +378,23 @@ def test_a_middleware_keeps_its_promises(make: Callable[[], AbstractContextManag
     check_middleware(make)
 
 
-@pytest.mark.parametrize(
-    ("code", "run"),
-    [("units.py:Worker", RunOptions()), *((PROGRAMS[form], RunOptions(format=form)) for form in FORMATS)],
-    ids=["Python", *FORMATS],
-)
-def test_the_runtime_keeps_its_promises(
-    code: str,
-    run: RunOptions,
-    tmp_path: Path,
-    tmp_path_factory: pytest.TempPathFactory,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+@pytest.fixture
+def own_runs(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs have a folder of their own."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
-    check_middleware(lambda: real_bench(tmp_path, code, run))
+
+
+@pytest.mark.usefixtures("own_runs")
+def test_the_runtime_keeps_its_promises(tmp_path: Path) -> None:
+    check_middleware(lambda: real_bench(tmp_path, "units.py:Worker", RunOptions()))
+
+
+@pytest.mark.usefixtures("own_runs")
+@pytest.mark.parametrize("seed", range(len(FORMATS)), ids=FORMATS)
+def test_the_runtime_keeps_its_promises_with_programs(seed: int, tmp_path: Path) -> None:
+    """A push takes one of the formats, the night all: `tests/runtime` tests what they differ in."""
+    form = FORMATS[seed]
+    check_middleware(lambda: real_bench(tmp_path, PROGRAMS[form], RunOptions(format=form)))
 
 
 def test_without_wires_a_middleware_is_checked_by_its_elements() -> None:

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
-STORM = Path(__file__).parents[2] / "experiments" / "lifecycle" / "storm.py"
-
+from experiments.lifecycle import storm
 
 HOW = {
     "in thought": ["--perturbations", "200"],
@@ -20,8 +17,11 @@ HOW = {
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("how", HOW)
-def test_after_a_storm_what_runs_is_exactly_as_good_as_a_fresh_optimal_plan(how: str, seed: int) -> None:
-    one = [*HOW[how], "--seeds", "1", "--seed", str(seed)]
-    done = subprocess.run([sys.executable, str(STORM), *one], capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "'applied'" in done.stdout
+def test_after_a_storm_what_runs_is_exactly_as_good_as_a_fresh_optimal_plan(
+    how: str, seed: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["storm.py", *HOW[how], "--seeds", "1", "--seed", str(seed)])
+    found = storm.main()
+    said = capsys.readouterr().out
+    assert found == 0, said
+    assert "'applied'" in said

@@ -90,9 +90,9 @@ facts:
     field: status.thrusters.values.left.value
     qos: best_effort
 transformations:
-  - {label: strong, source: "node:./talking.py talker", params: {rate: 100}, requires: left, labor: 0.1, upkeep: 0.01,
+  - {label: strong, source: "node:./talking.py talker", params: {rate: 20}, requires: left, labor: 0.1, upkeep: 0.01,
      outputs: {words: {tag: Word, type: std_msgs/String, remap: chatter}}}
-  - {label: weak, source: "node:./talking.py talker", params: {rate: 100}, labor: 0.1, upkeep: 0.1,
+  - {label: weak, source: "node:./talking.py talker", params: {rate: 20}, labor: 0.1, upkeep: 0.1,
      outputs: {words: {tag: Word, type: std_msgs/String, remap: chatter}}}
 targets:
   - {label: words, topic: /words, tag: Word}

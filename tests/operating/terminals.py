@@ -12,11 +12,9 @@ from doctest import ELLIPSIS, NORMALIZE_WHITESPACE, OutputChecker
 from functools import partial
 from itertools import takewhile
 from pathlib import Path
-from typing import Any
 
 import psutil
 from operated_world import PATIENCE_S, eventually
-from warm import cold_command, warm_processes
 
 _TOLD = re.compile(r"# (?:terminal (?P<terminal>\d)|ends with (?P<code>\d))$")
 _ENDED = re.compile(r"# Ctrl-C in terminals? (\d)(?: and (\d))?$")
@@ -26,22 +24,14 @@ class Terminals:
     """Runs commands in a folder; those of another terminal go on there.
 
     `await_begun` is called with each of these, and returns when it is there. What commands of `asked_again` say may
-    still come to be: those at the end of a block are run again until the last says it. If `runs_are_warm`, the imports
-    of `cfgplan run` in another terminal take no time.
+    still come to be: those at the end of a block are run again until the last says it.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        await_begun: Callable[[str], None],
-        asked_again: tuple[str, ...],
-        *,
-        runs_are_warm: bool = False,
-    ) -> None:
+    def __init__(self, folder: Path, await_begun: Callable[[str], None], asked_again: tuple[str, ...]) -> None:
         self.lines: list[str] = []
         """What has been run since something was last shown."""
         self._said: Callable[[], str] = str
-        self._folder, self._runs_are_warm = folder, runs_are_warm
+        self._folder = folder
         self._await_begun, self._asked_again = await_begun, asked_again
         self._terminals: dict[str, tuple[str, subprocess.Popen[bytes]]] = {}
 
@@ -97,12 +87,8 @@ class Terminals:
         self._end(terminal)
         output = self._folder / f"terminal_{terminal}.txt"
         with output.open("w") as told:
-            as_asked: dict[str, Any] = {"cwd": self._folder, "stdout": told.fileno(), "stderr": subprocess.STDOUT}
-            program, *arguments = shlex.split(command)
-            if program == "cfgplan" and self._runs_are_warm:
-                process = warm_processes().Popen(cold_command(*arguments), **as_asked)
-            else:
-                process = subprocess.Popen(["/bin/sh", "-c", f"exec {command}"], **as_asked)
+            line = ["/bin/sh", "-c", f"exec {command}"]
+            process = subprocess.Popen(line, cwd=self._folder, stdout=told, stderr=subprocess.STDOUT)
         self._terminals[terminal] = (command, process)
         self._said = output.read_text
         self._await_begun(command)

@@ -112,7 +112,7 @@ def camera() -> None:
     while not rospy.is_shutdown():
         picture.header.stamp = rospy.Time.now()
         pictures.publish(picture)
-        rospy.sleep(0.02)
+        rospy.sleep(0.05)
 
 
 def mute() -> None:

@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 
 import pytest
 from cfgplan_runtime import Runtime
 from cfgplan_runtime.ros1.ros1_backend import Ros1Backend
 from cfgplan_runtime.testing import Bench, check_middleware
 from unit_signals import signal_unit
-from words import NODES, gives, published_topics
+from words import NODES, gives, node_names, pid_of, published_topics
 
 from cfgplan.domain import InputPort, OutputPort, Transformation
-from cfgplan.ros.node_api import SilentError, asked, peer
 
 TALKER = Transformation(
     "talker",
     (),
     (OutputPort("words", "Word", remap="chatter"),),
     source="node:./talking.py talker",
-    params={"rate": 100},
+    params={"rate": 20},
 )
 SHOUTER = Transformation(
     "shouter",
@@ -35,14 +33,9 @@ pytestmark = pytest.mark.usefixtures("warm_nodes")
 
 def answering_units() -> set[str]:
     """The units whose nodes answer, whatever the run believes."""
-    master, found = peer(os.environ["ROS_MASTER_URI"]), set()
-    for label in ("talker", "shouter", "mute"):
-        for number in (1, 2):
-            with suppress(SilentError):
-                node = peer(str(asked(master, "/test", "lookupNode", f"/{label}_{number}")))
-                asked(node, "/test", "getPid")
-                found.add(f"{label}.{number}")
-    return found
+    labels = {one.label for one in (TALKER, SHOUTER, MUTE)}
+    named = [(name, *name[1:].rpartition("_")) for name in node_names()]
+    return {f"{label}.{number}" for name, label, _, number in named if label in labels and pid_of(name)}
 
 
 @contextmanager

@@ -12,11 +12,10 @@ import pytest
 from operated_world import await_event, eventually, running
 from warm import command
 from warm_nodes import start
-from words import listening, node_names
+from words import listening, node_names, system_state
 
 from cfgplan.cli import main
-from cfgplan.errors import InputError
-from cfgplan.ros.master import master_graph
+from cfgplan.ros.node_api import SilentError
 
 PROGRAM = """\
 #!/usr/bin/python3
@@ -58,8 +57,9 @@ def live(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ExitStack]
 
 
 def _topics() -> set[str]:
-    with suppress(InputError):
-        return {*master_graph().topics}
+    with suppress(SilentError):
+        published, subscribed, _ = system_state()
+        return {*published, *subscribed}
     return set()
 
 

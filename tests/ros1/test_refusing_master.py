@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import socket
+import subprocess
+import sys
 import threading
 from collections import Counter
 from collections.abc import Iterator
@@ -77,3 +79,19 @@ def test_what_is_refused_is_offered_again_until_it_is_taken(
 ) -> None:
     run.send(lead("/add", 1, is_service=True))
     eventually(lambda: master.asked["registerService", "/to1"] == 3)
+
+
+ENDING = """
+import atexit, threading
+from cfgplan_runtime.ros1.master_calls import MasterCalls
+
+atexit.register(lambda: [one.join() for one in threading.enumerate() if isinstance(one, threading.Timer)])
+calls = MasterCalls("http://127.0.0.1:1", "/relay")
+calls.ask("registerSubscriber", "/topic", is_wanted=lambda: True, then=print)
+"""
+"""Code that ends while it calls a master that is not there, after its next call was due."""
+
+
+def test_a_process_that_ends_while_no_master_answers_says_nothing_of_it() -> None:
+    ended = subprocess.run([sys.executable, "-c", ENDING], capture_output=True, text=True, check=True)
+    assert ended.stderr == ""

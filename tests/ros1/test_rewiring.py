@@ -7,7 +7,7 @@ import struct
 import subprocess
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import islice
+from itertools import dropwhile, islice
 
 import pytest
 from cfgplan_runtime import ApplyError, Runtime
@@ -108,7 +108,7 @@ def test_a_running_node_is_led_from_one_to_another_and_stays_the_same_process(ru
         assert before < 1_000_000
         rewired = replace(shouter, subscriptions=(Subscription("quiet", Stream("second.1", "words")),))
         runtime.apply(ChangeSet((unit("second.1"),), rewired=(rewired,), stopped=("first.1",)))
-        after = [number for number in map(number_of, islice(shouts, 1000)) if number >= 1_000_000][:50]
+        after = list(islice(dropwhile(lambda number: number < 1_000_000, map(number_of, islice(shouts, 1000))), 50))
     assert after == list(range(after[0], after[0] + 50)), "the old source is heard no more, the new one is whole"
     assert runtime.pid("shouter.1") == pid
 

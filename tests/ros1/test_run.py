@@ -10,15 +10,16 @@ from subprocess import DEVNULL
 
 import psutil
 import pytest
+from living import living
 from operated_world import await_event, eventually, running
-from warm import command, warm_processes
+from warm import command
 from warm_nodes import start
-from words import ENVIRONMENT, listening, node_names, write_words
+from words import ENVIRONMENT, listening, node_names, process_of_the_run, system_state, write_words
 
 from cfgplan.cli import main
 from cfgplan.errors import InputError
 from cfgplan.ros.master import master_graph
-from cfgplan.ros.node_api import asked, peer
+from cfgplan.ros.node_api import SilentError
 
 
 @pytest.fixture
@@ -53,7 +54,7 @@ def test_a_master_that_is_there_is_used_and_knows_nothing_of_the_run_afterwards(
     master = start(["rosmaster", "--core", "-p", address.rpartition(":")[2]], stdout=DEVNULL, stderr=DEVNULL)
     try:
         eventually(is_answered)
-        before = asked(peer(address), "/test", "getSystemState")
+        before = system_state()
         with running("--middleware", "ros1", env, call=command) as process:
             await_event(process, "Running")
             with listening("/shout") as shouts:
@@ -62,27 +63,28 @@ def test_a_master_that_is_there_is_used_and_knows_nothing_of_the_run_afterwards(
             process.terminate()
             process.communicate()
         assert process.returncode == 0
-        assert asked(peer(address), "/test", "getSystemState") == before
+        assert system_state() == before
     finally:
         master.kill()
         master.wait()
 
 
 def is_answered() -> bool:
-    with suppress(InputError):
-        master_graph()
-        return True
+    with suppress(SilentError):
+        return bool(system_state())
     return False
 
 
+@pytest.mark.usefixtures("warm_cfgplan")
 def test_nothing_is_left_of_a_run_that_is_killed(env: Path) -> None:
-    with running("--middleware", "ros1", env, start=warm_processes().Popen) as process:
+    with running("--middleware", "ros1", env, call=command) as process:
         await_event(process, "Running")
         with listening("/shout") as shouts:
             next(shouts)
-        children = psutil.Process(process.pid).children(recursive=True)
+        run = process_of_the_run()
+        processes = [run, *run.children(recursive=True)]
         process.kill()
-    eventually(lambda: not any(child.is_running() and child.status() != "zombie" for child in children))
+    eventually(lambda: not living(processes))
 
 
 def test_nodes_that_are_run_as_processes_are_told_of_their_middleware(

@@ -13,7 +13,7 @@ from terminals import Terminals, write_cfgplan
 from warm import command
 from words import node_names
 
-from cfgplan.errors import InputError
+from cfgplan.ros.node_api import SilentError
 
 TOOLS = ("roscore", "rosnode", "rostopic")
 LACKING = [tool for tool in TOOLS if shutil.which(tool) is None]
@@ -35,7 +35,7 @@ def there() -> set[str]:
     """The nodes that there are."""
     try:
         return node_names()
-    except InputError:
+    except SilentError:
         return set()
 
 
@@ -47,7 +47,7 @@ def terminals(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Termi
     (programs / "roscore").write_text(f"#!/bin/sh\nexec {shutil.which('roscore')} -p {port}\n")
     (programs / "roscore").chmod(0o755)
     monkeypatch.setenv("PATH", f"{programs}:{os.environ['PATH']}")
-    made = Terminals(tmp_path, await_begun, ("cfgplan ctl state",), runs_are_warm=True)
+    made = Terminals(tmp_path, await_begun, ("cfgplan ctl state",))
     yield made
     made.close()
 

@@ -9,11 +9,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+import psutil
+from cfgplan_runtime.operating.control_client import connect
 from cfgplan_runtime.ros1.tcpros import MessageReader, subscribed
 from operated_world import PATIENCE_S, eventually
 from warm_nodes import NODES
 
-from cfgplan.ros.master import master_graph
 from cfgplan.ros.node_api import SilentError, asked, peer
 
 ENVIRONMENT = """\
@@ -21,7 +22,7 @@ format: cfgplan/1
 transformations:
   - label: talker
     source: node:./talking.py talker
-    params: {rate: 100, first: 1000}
+    params: {rate: 25, first: 1000}
     outputs: {words: {tag: Word, type: std_msgs/String, remap: chatter}}
   - label: shouter
     source: node:./talking.py shouter
@@ -40,13 +41,26 @@ def write_words(folder: Path) -> Path:
     return path
 
 
+def system_state() -> list[dict[str, list[str]]]:
+    """The topics that are published, those that are subscribed to, and the services, each with its nodes.
+
+    Only the master is asked. Raises SilentError if none answers.
+    """
+    return [dict(rows) for rows in asked(peer(os.environ["ROS_MASTER_URI"]), "/test", "getSystemState")]
+
+
 def node_names() -> set[str]:
-    return {node.name for node in master_graph().nodes}
+    return {node for rows in system_state() for nodes in rows.values() for node in nodes}
 
 
 def published_topics() -> set[str]:
-    publishers, _, _ = asked(peer(os.environ["ROS_MASTER_URI"]), "/test", "getSystemState")
-    return {topic for topic, _ in publishers}
+    return {*system_state()[0]}
+
+
+def process_of_the_run() -> psutil.Process:
+    """The process of the only run that can be controlled."""
+    with connect() as control:
+        return psutil.Process(control.system.pid)
 
 
 def pid_of(node: str) -> int:
@@ -68,8 +82,7 @@ def gives(topic: str) -> bool:
     """Whether a message comes on a topic within a second."""
     with suppress(SilentError, OSError):
         master = peer(os.environ["ROS_MASTER_URI"])
-        publishers, _, _ = asked(master, "/test", "getSystemState")
-        for node in dict(publishers).get(topic, []):
+        for node in system_state()[0].get(topic, []):
             with subscribed(str(asked(master, "/test", "lookupNode", node)), "/test", topic)[0] as end:
                 reader = MessageReader(end)
                 end.settimeout(1.0)
@@ -86,11 +99,9 @@ def messages(topic: str) -> Iterator[Iterator[bytes]]:
 
     def connects() -> bool:
         with suppress(SilentError, OSError):
-            master = peer(os.environ["ROS_MASTER_URI"])
-            publishers, _, _ = asked(master, "/test", "getSystemState")
-            node = dict(publishers).get(topic, [None])[0]
-            if node is not None:
-                found.append(subscribed(str(asked(master, "/test", "lookupNode", node)), "/test", topic)[0])
+            if nodes := system_state()[0].get(topic):
+                address = asked(peer(os.environ["ROS_MASTER_URI"]), "/test", "lookupNode", nodes[0])
+                found.append(subscribed(str(address), "/test", topic)[0])
         return bool(found)
 
     eventually(connects)

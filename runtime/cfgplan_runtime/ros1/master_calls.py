@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import partial
 
 from cfgplan.ros.node_api import SilentError, asked, peer
@@ -51,9 +52,13 @@ class MasterCalls:
             return
         longer_s = min(2 * again_s, _MOST_AGAIN_S)
         again = partial(self._ask_until_answered, *call, is_wanted=is_wanted, then=then, again_s=longer_s)
-        timer = threading.Timer(again_s, self._calls.submit, [again])
+        timer = threading.Timer(again_s, self._submit, [again])
         timer.daemon = True
         timer.start()
+
+    def _submit(self, call: Callable[[], None]) -> None:
+        with suppress(RuntimeError):  # this process is ending
+            self._calls.submit(call)
 
     def _ask(self, method: str, *arguments: str) -> list[str] | None:
         """The master's answer; None if it does not answer."""

@@ -65,9 +65,9 @@ class NodeWatch:
         if address is None:
             return
         node = peer(address)
-        until = time.monotonic() + _PORTS_S
-        while not self._has_ports(node) and time.monotonic() < until and not self._is_over.wait(_NODE_LOOK_S):
-            pass
+        until, look_s = time.monotonic() + _PORTS_S, _NODE_LOOK_S
+        while not self._has_ports(node) and time.monotonic() < until and not self._is_over.wait(look_s):
+            look_s = _longer(look_s)
         self._tell(partial(self._owner.note_ready, self._node, address))
         late_s, is_silent = time.monotonic() + _LATE_S, False
         while not self._is_over.wait(ALIVE_S):
@@ -90,7 +90,7 @@ class NodeWatch:
         """Wait until the node answers. Returns its address, or None if the watch has ended."""
         look_s = _NODE_LOOK_S
         while not self._is_over.wait(look_s):
-            look_s = min(1.2 * look_s, _MOST_NODE_LOOK_S)
+            look_s = _longer(look_s)
             with suppress(SilentError, InputError):
                 address = str(asked(self._master, _WATCHER, "lookupNode", self._node))
                 if self._is_own(int(asked(peer(address), _WATCHER, "getPid"))):
@@ -118,6 +118,10 @@ class NodeWatch:
     def _tell(self, call: Callable[[], None]) -> None:
         if not self._is_over.is_set():
             call()
+
+
+def _longer(look_s: float) -> float:
+    return min(1.2 * look_s, _MOST_NODE_LOOK_S)
 
 
 def _topics(node: ServerProxy, method: str) -> set[str]:
