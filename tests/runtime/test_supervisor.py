@@ -6,6 +6,7 @@ import random
 from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 from unittest import mock
 
@@ -37,6 +38,7 @@ from in_simulation import InSimulation
 from world import RESULT, source, start, unit, worker
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Host, RunOptions, Stream, Target, Transformation
+from cfgplan.errors import InvalidValueError
 from cfgplan.transformations import DEFAULT_LABOR_US
 
 TOPIC = Inlet("", "/result")
@@ -737,3 +739,12 @@ def test_a_manager_that_begins_late_is_told_the_ages_and_waits_of_that_moment() 
         FailuresKept("count", "r1", 3, pytest.approx(20.0 - passed_s), "no camera", digest),
         FailuresKept("count", "r2", 2, 0.0, "no lens", digest),
     ]
+
+
+def test_a_backend_that_lacks_methods_is_refused_with_their_names() -> None:
+    whole = SimulatedBackend()
+    names = {name for name in dir(whole) if not name.startswith("_")} - {"activate", "deactivate"}
+    backend: Any = SimpleNamespace(**{name: getattr(whole, name) for name in names})
+    with pytest.raises(InvalidValueError, match="SimpleNamespace lacks activate, deactivate; see Backend in cfgplan_"):
+        Supervisor(backend, Environment(), lambda _: None)
+    Supervisor(whole, Environment(), lambda _: None)

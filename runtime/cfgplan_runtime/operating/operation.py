@@ -277,8 +277,8 @@ class Operation(Closable):
 
     def _take_world(self, world: World, by: str) -> None:
         adjusted = self._settings.adjust(world)
-        self._sources.look_at(adjusted.environment.library)
-        self.manager.request(ReplaceWorld(adjusted, by))
+        # Once the manager has accepted the world, the watch of sources reports the faults.
+        self.manager.request(ReplaceWorld(adjusted, by, self._sources.faults_of(adjusted.environment.library)))
 
     def _hear(self, report: Report) -> None:
         self._tell_of_full_disks()

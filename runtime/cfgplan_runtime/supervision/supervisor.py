@@ -10,11 +10,13 @@ import uuid
 from collections.abc import Callable, Collection, Generator, Mapping, Set
 from dataclasses import dataclass, replace
 from math import inf
+from types import FunctionType
 from typing import TypeAlias
 
 import msgspec
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Transformation
+from cfgplan.errors import InvalidValueError
 from cfgplan_runtime.errors import ApplyError, RuntimeFaultError, StaleChangeSetError
 from cfgplan_runtime.supervision import events, updates
 from cfgplan_runtime.supervision.backend import Backend, Failures, Found, Inlet
@@ -48,10 +50,12 @@ As soon as that becomes so, it wakes the backend.
 class Supervisor:
     """Holds the running configuration in `environment`, which `backend` runs; `report` gets every event, in order.
 
-    The update under way reads it as `updates.Actual`; only the supervisor changes it.
+    Raises InvalidValueError if the backend lacks a method. The update under way reads it as `updates.Actual`; only the
+    supervisor changes it.
     """
 
     def __init__(self, backend: Backend, environment: Environment, report: Callable[[events.Event], None]) -> None:
+        _check_backend(backend)
         self.backend = backend
         self.environment = environment
         self.wiring = Wiring(backend)
@@ -568,6 +572,15 @@ class _Stopping:
     end_s: float
     limit_s: float
     is_cut_short: bool = False
+
+
+def _check_backend(backend: Backend) -> None:
+    """Raise InvalidValueError if a backend lacks methods. Without this check, only the update that needs them fails."""
+    methods = (name for name, member in vars(Backend).items() if isinstance(member, FunctionType) and name[0] != "_")
+    lacking = sorted(name for name in methods if not callable(getattr(backend, name, None)))
+    if lacking:
+        name = type(backend).__name__
+        raise InvalidValueError(f"the backend {name} lacks {', '.join(lacking)}; see Backend in {Backend.__module__}")
 
 
 def _is_connected(follower: Follower, topics: Collection[str]) -> bool:
