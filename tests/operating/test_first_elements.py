@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,8 @@ from cfgplan_runtime.operating.recorded import recorded
 from cfgplan_runtime.streams.element import Element
 from cfgplan_runtime.streams.payload import decode
 from cfgplan_runtime.streams.subscription import RunPlace
-from operated_world import eventually
+from cfgplan_runtime.supervision import updates
+from operated_world import PATIENCE_S, eventually
 
 from cfgplan import api
 from cfgplan.costs import MICRO
@@ -92,6 +94,7 @@ def slow(monkeypatch: pytest.MonkeyPatch) -> None:
         return connect(place, topic)
 
     monkeypatch.setattr(RunPlace, "connect", late)
+    monkeypatch.setattr(updates, "Patience", partial(updates.Patience, follow_s=PATIENCE_S))
 
 
 @contextmanager
@@ -100,7 +103,7 @@ def operated(folder: Path, text: str, **settings: Any) -> Iterator[Operation]:
     env = folder / "env.yaml"
     env.write_text(text)
     with Operation(api.load(env), env, Settings(**settings)) as operation:
-        assert operation.begun.wait(60)
+        assert operation.begun.wait(PATIENCE_S)
         yield operation
 
 
@@ -135,7 +138,7 @@ def test_a_topic_that_closes_and_opens_again_is_followed_from_its_first_element(
     connect, is_asked = RunPlace.connect, threading.Event()
 
     def late(place: RunPlace, topic: str) -> socket.socket | None:
-        is_asked.wait(60)
+        is_asked.wait(PATIENCE_S)
         time.sleep(0.2)
         return connect(place, topic)
 
@@ -144,6 +147,7 @@ def test_a_topic_that_closes_and_opens_again_is_followed_from_its_first_element(
         return True
 
     monkeypatch.setattr(RunPlace, "connect", late)
+    monkeypatch.setattr(updates, "Patience", partial(updates.Patience, follow_s=PATIENCE_S))
     (tmp_path / "units.py").write_text(UNITS)
     outputs = (OutputPort("out", "Out"),)
     library = [Transformation(f"{n}", outputs=outputs, source="units.py:once", params={"value": n}) for n in range(3)]
@@ -168,7 +172,7 @@ def test_elements_before_a_follower_that_an_update_did_not_await_are_counted(
     connect, is_late = RunPlace.connect, threading.Event()
 
     def late(place: RunPlace, topic: str) -> socket.socket | None:
-        is_late.wait(60)
+        is_late.wait(PATIENCE_S)
         return connect(place, topic)
 
     monkeypatch.setattr(RunPlace, "connect", late)
