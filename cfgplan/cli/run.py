@@ -256,9 +256,8 @@ def _operate(
 
     with Interrupts() as interrupts:
         with screen.phase("start"):
-            operation = Operation(world, Path(options.env), settings)
-        topics = facts_of_ros(options, operation), qualities_of_ros(options, operation)
-        with operation, run_targets.published(options, operation, folder_of(options)), topics[0], topics[1]:
+            operation = Operation(world, Path(options.env), replace(settings, beside=partial(_beside, options)))
+        with operation:
             interrupts.only_count()
             with screen.phase("plan"):
                 while not interrupts.count and not operation.begun.wait(_LIVE_LOOK_S):
@@ -277,6 +276,14 @@ def _operate(
     if operation.failure:
         return Exit.INTERNAL
     return Exit.OK if operation.all_met else Exit.UNMET
+
+
+@contextmanager
+def _beside(options: argparse.Namespace, operation: Operation) -> Iterator[None]:
+    """Publish targets, and read topics of ROS, as the options ask for. Raises InputError."""
+    published = run_targets.published(options, operation, folder_of(options))
+    with published, facts_of_ros(options, operation), qualities_of_ros(options, operation):
+        yield
 
 
 @contextmanager

@@ -19,7 +19,7 @@ from cfgplan_runtime.supervision.listeners import Listeners
 from cfgplan_runtime.supervision.observation import Observation
 from cfgplan_runtime.supervision.run_log import RunLog
 from cfgplan_runtime.supervision.simulated_backend import Behaviour, SimulatedBackend
-from cfgplan_runtime.supervision.supervisor import Supervisor
+from cfgplan_runtime.supervision.supervisor import Follower, Supervisor
 from cfgplan_runtime.supervision.updates import Patience
 
 T = TypeVar("T")
@@ -226,6 +226,18 @@ class Runtime(Closable):
             self._listeners.add(listener)
 
         self._executor.call(begin)
+
+    def await_follower(self, follower: Follower) -> None:
+        """Let updates wait for a follower of topics before they connect units to a topic that has no source.
+
+        They wait up to `follow_s` of their patience. The follower is called with the topics, in the supervisor's
+        thread.
+        """
+
+        def add() -> None:
+            self.supervisor.followers = (*self.supervisor.followers, follower)
+
+        self._executor.call(add)
 
     def abandon(self) -> None:
         """Give up the updates that still wait for new units; they are undone. Thread-safe."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from math import inf
 from typing import Any, TypeVar
 
@@ -151,6 +152,16 @@ def test_the_rest_is_started_where_one_unit_cannot() -> None:
     assert life.reviews[-1].unmet["y"] == (
         "target y wants Y, but needs transformations that are left out for now: work (it keeps failing)"
     )
+
+
+def test_a_pinned_unit_that_an_undone_update_has_kept_begins_though_no_further_update_connects_it() -> None:
+    life = started(replace(source(), pinned=True), worker(), behaviours=DYING)
+    life.runtime.backend.fail("count.1")
+    tries = life.starts("work")
+    life.pass_time(60)
+    assert life.starts("work") > tries
+    assert life.units == life.runtime.supervisor.alive != set()
+    assert life.runtime.supervisor.inactive == set()
 
 
 def test_a_unit_that_is_never_ready_is_to_blame() -> None:

@@ -6,8 +6,14 @@ import shlex
 from pathlib import Path
 
 import pytest
-from operated_world import UNITS, await_event, running, write_world
+from cfgplan_runtime.lifecycle.changes import KillUnit, ReviewNow
+from cfgplan_runtime.lifecycle.perturbations import CodeChanged
+from cfgplan_runtime.lifecycle.policy import Policy
+from cfgplan_runtime.lifecycle.reports import Perturbed, Report, Reviewed, WorldRefused
+from cfgplan_runtime.operating.operation import Operation, Settings
+from operated_world import PATIENCE_S, UNITS, await_event, eventually, running, write_world
 
+from cfgplan import api
 from cfgplan.cli import main
 
 BROKEN = "import nosuchmodule\n" + UNITS
@@ -127,3 +133,21 @@ def test_code_that_a_run_can_t_watch_is_not_reloaded(
 ) -> None:
     assert main(["run", str(env), "--reload", *options]) == 30
     assert f"--reload watches {what}" in capsys.readouterr().err
+
+
+def test_faults_of_a_refused_file_do_not_count(env: Path) -> None:
+    """The manager refuses hosts in a run without them; the code of the file before still runs."""
+    with Operation(api.load(env), env, Settings(policy=Policy(refuses_hosts=True))) as operation:
+        assert operation.begun.wait(PATIENCE_S)
+        reports = list[Report]()
+        operation.manager.listen(reports.append)
+        broken = env.read_text().replace("units.py:Detector", "nowhere.py:Detector")
+        env.write_text(broken + "hosts: [{name: r1}]\n")
+        eventually(lambda: any(isinstance(one, WorldRefused) and one.faults for one in list(reports)))
+        assert operation.manager.request(ReviewNow()).result(PATIENCE_S)
+        causes = [one.perturbation for one in reports if isinstance(one, Perturbed)]
+        assert not [one for one in causes if isinstance(one, CodeChanged)]
+        env.write_text(broken)
+        eventually(lambda: "nowhere.py: there is no such file" in str(operation.news.get(timeout=PATIENCE_S)))
+        operation.manager.request(KillUnit("detector(piff).1")).result(PATIENCE_S)
+        eventually(lambda: any(isinstance(one, Reviewed) and one.review.avoided for one in list(reports)))

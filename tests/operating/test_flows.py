@@ -98,8 +98,7 @@ def test_whoever_listens_gets_every_element_in_order(runtime: Runtime) -> None:
         assert topic == "/result"
         heard.append(int(decode(element.payload)[0, 0]))
 
-    following = Following(runtime.id, listen)
-    following.follow(["/result"])
+    following = Following(runtime, lambda: ["/result"], listen, print, "heard")
     eventually(lambda: len(heard) > 50)
     following.close()
     assert heard == [(heard[0] + number) % 256 for number in range(len(heard))]
@@ -107,9 +106,10 @@ def test_whoever_listens_gets_every_element_in_order(runtime: Runtime) -> None:
 
 def test_a_topic_that_is_no_longer_followed_is_left(runtime: Runtime) -> None:
     heard: list[str] = []
-    following = Following(runtime.id, lambda topic, _: heard.append(topic))
-    following.follow(["/result"])
+    wanted = ["/result"]
+    following = Following(runtime, lambda: wanted, lambda topic, _: heard.append(topic), print, "heard")
     eventually(lambda: heard)
-    following.follow([])
+    wanted.clear()
+    following.look()
     eventually(lambda: not [thread for thread in threading.enumerate() if "cfgplan-flow" in thread.name])
     following.close()

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 from unittest import mock
 
@@ -36,6 +38,7 @@ from in_simulation import InSimulation
 from world import RESULT, source, start, unit, worker
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Host, RunOptions, Stream, Target, Transformation
+from cfgplan.errors import InvalidValueError
 from cfgplan.transformations import DEFAULT_LABOR_US
 
 TOPIC = Inlet("", "/result")
@@ -346,7 +349,9 @@ def test_a_unit_that_an_earlier_supervisor_has_started_is_awaited_as_long_as_one
 
 
 def test_units_that_an_earlier_supervisor_has_not_let_begin_begin_once_they_are_connected() -> None:
-    """One that a target wants to run begins at once, since no update may come that connects it."""
+    """One that a target wants to run begins too, since no update may come that connects it. They leave followers of
+    topics time to connect.
+    """
     library = source(), worker(), source("give"), source("run")
     names = "count.1", "work.1", "give.1", "run.1"
     wire = FoundWire(1, Stream("count.1", "n"), Inlet("work.1", "x"), has_switched=True)
@@ -359,11 +364,45 @@ def test_units_that_an_earlier_supervisor_has_not_let_begin_begin_once_they_are_
     targets = RESULT, Target("runs", run="run")
     with mock.patch.object(SimulatedBackend, "found", return_value=found):
         supervisor = Supervisor(backend, Environment((), library, targets), lambda _: None)
+    pass_time(supervisor, backend, 1.0)
+    assert "activate" not in {call[0] for call in backend.calls}
+    pass_time(supervisor, backend, 2.0)
     begun = [call for call in backend.calls if call[0] == "activate"]
     assert begun == [("activate", "run.1"), ("activate", "work.1")]
     supervisor.apply(start(unit("work.2", x="give.1/n")))
     begun = [call for call in backend.calls if call[0] == "activate"]
     assert begun[2:] == [("activate", "work.2"), ("activate", "give.1")]
+
+
+def pass_time(supervisor: Supervisor, backend: SimulatedBackend, for_s: float) -> None:
+    end_s = backend.now() + for_s
+    while backend.now() < end_s:
+        supervisor.pump(end_s - backend.now())
+
+
+def test_an_update_waits_for_followers_of_its_new_topics_and_not_for_one_that_fails(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    simulation, asked = Simulation(), list[Collection[str]]()
+    since_s = simulation.backend.now()
+
+    def fails(_: Collection[str]) -> bool:
+        raise OSError("no disk")
+
+    def follows(topics: Collection[str]) -> bool:
+        asked.append(topics)
+        assert not [call for call in simulation.backend.calls if call[0] == "connect"]
+        return simulation.backend.now() - since_s > 1.0
+
+    simulation.supervisor.followers = fails, follows
+    simulation.apply(start(*ONE))
+    assert 1.0 < simulation.backend.now() - since_s < 2.0
+    assert set(map(frozenset, asked)) == {frozenset({"/result"})}
+    assert "no disk" in caplog.text
+    asked.clear()
+    simulation.apply(swap(2))
+    assert not asked
+    simulation.check()
 
 
 @pytest.mark.parametrize(
@@ -700,3 +739,12 @@ def test_a_manager_that_begins_late_is_told_the_ages_and_waits_of_that_moment() 
         FailuresKept("count", "r1", 3, pytest.approx(20.0 - passed_s), "no camera", digest),
         FailuresKept("count", "r2", 2, 0.0, "no lens", digest),
     ]
+
+
+def test_a_backend_that_lacks_methods_is_refused_with_their_names() -> None:
+    whole = SimulatedBackend()
+    names = {name for name in dir(whole) if not name.startswith("_")} - {"activate", "deactivate"}
+    backend: Any = SimpleNamespace(**{name: getattr(whole, name) for name in names})
+    with pytest.raises(InvalidValueError, match="SimpleNamespace lacks activate, deactivate; see Backend in cfgplan_"):
+        Supervisor(backend, Environment(), lambda _: None)
+    Supervisor(whole, Environment(), lambda _: None)

@@ -70,6 +70,8 @@ class Scene:
     """Units that do not answer what a hand-over of a state asks."""
     stateless: Set[str] = frozenset()
     is_abandoned: bool = False
+    unfollowed: Set[str] = frozenset()
+    """Topics to which not all followers are connected."""
     cause_of_death: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -95,6 +97,9 @@ class Scene:
 
     def dry_units(self) -> Set[str]:
         return self.dry
+
+    def is_followed(self, topics: Set[str]) -> bool:
+        return self.unfollowed.isdisjoint(topics)
 
     def now(self) -> float:
         return float(len(self.said))
@@ -197,6 +202,25 @@ class Scene:
             f"open /result, start count.1, start work.1, wait, {WIRED}, begin work.1, begin count.1, wait, wait, wait",
             0,
         ),
+        (
+            Scene(replace(RUNNING, units=()), unfollowed={"/result"}),
+            start(COUNT, WORK),
+            (
+                f"open /result, start count.1, start work.1, wait, wait in vain, {WIRED}, begin work.1, begin count.1, "
+                "wait, wait, wait"
+            ),
+            0,
+        ),
+        (
+            Scene(unfollowed={"/result"}, is_abandoned=True),
+            ChangeSet(started=(unit("work.2", topic="/other", x="count.1/n"),)),
+            (
+                "open /other, start work.2, wait, count.1/n > work.2/x, work.2/y > /other, begin work.2, wait, wait, "
+                "wait"
+            ),
+            0,
+        ),
+        (Scene(unfollowed={"/result"}), SWAP, f"{BESIDE}, wait, stop work.1, wait, wait, wait", 0),
         (Scene(), SWAP, f"{BESIDE}, wait, stop work.1, wait, wait, wait", 0),
         (Scene(quiet={"work.2"}), SWAP, f"{BESIDE}, wait in vain, stop work.1, wait, wait, wait", 1),
         (Scene(failing={"work.2"}), SWAP, f"{BESIDE}, wait, stop work.1, wait, wait, wait", 0),
@@ -237,6 +261,9 @@ class Scene:
     ],
     ids=[
         "a start",
+        "a start that is not followed",
+        "another topic than one that is not followed",
+        "a topic that has a source and is not followed",
         "a swap",
         "a quiet one",
         "one that fails and gives",

@@ -145,7 +145,7 @@ class Ports:
         output = self.outputs[port]
         output.senders.append(sender)
         output.served += 1
-        sender.tell_place(output.last)
+        sender.tell_place(output.last, output.elements)
         self.ends.watch(sender.socket, lambda: self._peer_spoke(output, sender))
 
     def close_output(self, port: str) -> None:

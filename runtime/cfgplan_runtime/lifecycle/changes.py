@@ -69,10 +69,14 @@ class Restore:
 
 @dataclass(frozen=True)
 class ReplaceWorld:
-    """Use a new world, from the environment file or another source."""
+    """Use a new world, from the environment file or another source.
+
+    `code_faults` are those of the code of its transformations; see FaultyCode. None: those that are known still count.
+    """
 
     world: World
     by: str
+    code_faults: Mapping[str, str] | None = field(default=None, hash=False)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from enum import Flag, auto
 from math import inf
 
 from cfgplan.api import World
-from cfgplan.domain import ChangeSet
+from cfgplan.domain import ChangeSet, Environment
 from cfgplan.errors import InputError
 from cfgplan_runtime import errors
 from cfgplan_runtime.lifecycle import intake
@@ -343,12 +343,19 @@ def _carried_out(transition: Transition, planning: Planning, findings: Findings)
     state, library = transition.state, planning.world.environment
     wanted = findings.change_set if findings.decision is Decision.APPLIED else None
     change_set = with_world(wanted or ChangeSet(), library, state.running)
-    if not change_set:
+    if not change_set and not (state.failures and _has_unconnected_pinned(state.running)):
         return _prepared(_reviewed(transition, planning, findings, None))
     situation = transition.state.situation.without(*(unit.id for unit in change_set.started))
     transition = transition.situated(situation.with_started(change_set.started, library, transition.at_s))
     transition = transition.to(replace(transition.state, doing=Updating(planning, findings, change_set)))
     return transition.also(ApplyUpdate(change_set, findings.running))
+
+
+def _has_unconnected_pinned(running: Environment) -> bool:
+    """Whether an undone update may have left a pinned unit that waits for an update, even an empty one, to begin."""
+    feeding = {subscription.stream.unit for unit in running.units for subscription in unit.subscriptions}
+    alone = (unit for unit in running.units if not (unit.subscriptions or unit.publications or unit.id in feeding))
+    return any(running.transformation[unit.transformation].pinned for unit in alone if not unit.standby)
 
 
 def _shortened(transition: Transition, label: str) -> Transition:

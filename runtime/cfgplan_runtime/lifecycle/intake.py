@@ -185,6 +185,11 @@ def matched(transition: Transition, result: Matched) -> Transition:
         transition = refused(transition, change.by, ())
     if not differs:
         return transition.also(Respond(outcome))
+    if isinstance(change, ReplaceWorld) and change.code_faults is not None:
+        situation = transition.state.situation
+        mended = situation.code_faults.keys() - change.code_faults.keys()
+        back_offs = situation.back_offs.forgiving(*mended)
+        transition = transition.situated(replace(situation, code_faults=change.code_faults, back_offs=back_offs))
     by = change.by if isinstance(change, ReplaceWorld) else type(change).__name__
     return transition.perturbed(WorldChanged(by, differs), [outcome])
 

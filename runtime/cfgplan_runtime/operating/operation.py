@@ -99,6 +99,8 @@ class Settings:
     """The plan that was shown before the run: it is carried out first, unless it is stale by then."""
     told: Mapping[str, str] = field(default_factory=dict)
     """The faults of code that were shown with this plan, by the label of the transformation."""
+    beside: Callable[[Operation], AbstractContextManager[object]] | None = None
+    """Makes what is entered before the first review and left after the last one, such as a publisher of targets."""
 
 
 class Operation(Closable):
@@ -216,9 +218,6 @@ class Operation(Closable):
         self._load_estimates()
         self.flows = Flows()
         self.runtime.listen(self.flows.hear)
-        if self.recorder is not None:
-            self._following = Following(self.id, self.recorder.element)
-            stack.callback(self._following.close)
         self.manager = Manager(
             world,
             self.runtime,
@@ -239,7 +238,11 @@ class Operation(Closable):
         moments = Moments(self._moment)
         self.manager.listen(moments.hear)
         methods = Methods(self.manager, self.flows, printed, self._past, self.rates, taps, moments).by_name()
-        self._observed = ObservedFacts(self.id, self.manager, self.show)
+        if self.recorder is not None:
+            listener = self.recorder.element
+            self._following = Following(self.runtime, self._recorded_topics, listener, self.show, "recorded")
+            stack.callback(self._following.close)
+        self._observed = ObservedFacts(self.runtime, self.manager, self.show)
         stack.callback(self._observed.close)
         self._server = ControlServer(base_folder() / self.id, methods, str(self._path.resolve()))
         stack.callback(self._server.close)
@@ -257,6 +260,8 @@ class Operation(Closable):
             told=settings.told,
         )
         self._sources.look_at(world.environment.library)
+        if settings.beside is not None:
+            stack.enter_context(settings.beside(self))
         self.manager.start()
         stack.callback(self._stop_manager)
         for watch in (self._sources, WorldWatch(self._path, self._take_world, self.manager.refuse)):
@@ -267,10 +272,13 @@ class Operation(Closable):
         snapshot = self.manager.snapshot()
         return snapshot, self.rates.of_topics(self.flows, snapshot.targets)
 
+    def _recorded_topics(self) -> list[str]:
+        return [target.topic for target in self.manager.world.environment.stream_targets]
+
     def _take_world(self, world: World, by: str) -> None:
         adjusted = self._settings.adjust(world)
-        self._sources.look_at(adjusted.environment.library)
-        self.manager.request(ReplaceWorld(adjusted, by))
+        # Once the manager has accepted the world, the watch of sources reports the faults.
+        self.manager.request(ReplaceWorld(adjusted, by, self._sources.faults_of(adjusted.environment.library)))
 
     def _hear(self, report: Report) -> None:
         self._tell_of_full_disks()
@@ -278,7 +286,7 @@ class Operation(Closable):
             case Reviewed(review):
                 self._observed.follow()
                 if self._following is not None:
-                    self._following.follow(target.topic for target in self.manager.world.environment.stream_targets)
+                    self._following.look()
                 if review.decision not in (Decision.FAILED, Decision.UNDECIDED):
                     self._unmet = frozenset(review.unmet) - self.manager.silent
                 self.begun.set()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterable
 from typing import Protocol
 
@@ -42,12 +41,10 @@ class PublishedTargets(Closable):
     def __init__(self, operation: Operation, outside: Outside) -> None:
         self._operation = operation
         self._outside = outside
-        self._lock = threading.Lock()
         self._published: dict[str, Target] = {}
         """By topic."""
-        self._following = Following(operation.id, outside.put)
+        self._following = Following(operation.runtime, self._take_targets, outside.put, operation.show, "published")
         operation.manager.listen(self._hear)
-        self._take_targets()
 
     def close(self) -> None:
         self._following.close()
@@ -55,15 +52,15 @@ class PublishedTargets(Closable):
 
     def _hear(self, report: Report) -> None:
         if isinstance(report, Reviewed):
-            self._take_targets()
+            self._following.look()
 
-    def _take_targets(self) -> None:
+    def _take_targets(self) -> Iterable[str]:
+        """Publish the targets that are wanted now, and return their topics. Called by one thread at a time."""
         wanted = {target.topic: target for target in self._outside.wanted(self._operation.manager.world.environment)}
-        with self._lock:
-            for topic, target in list(self._published.items()):
-                if topic not in wanted or wanted[topic].type != target.type:
-                    self._outside.end(self._published.pop(topic))
-            for topic in sorted(wanted.keys() - self._published.keys()):
-                if self._outside.begin(wanted[topic]):
-                    self._published[topic] = wanted[topic]
-            self._following.follow(self._published)
+        for topic, target in list(self._published.items()):
+            if topic not in wanted or wanted[topic].type != target.type:
+                self._outside.end(self._published.pop(topic))
+        for topic in sorted(wanted.keys() - self._published.keys()):
+            if self._outside.begin(wanted[topic]):
+                self._published[topic] = wanted[topic]
+        return self._published

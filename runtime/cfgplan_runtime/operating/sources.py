@@ -70,7 +70,7 @@ class Sources(FileWatch):
         """Look at all sources of a library. `changed` are the labels whose files have changed."""
         with self._lock:
             self._seen = library
-            self._note(self._faults_of(library), changed)
+            self._note(self.faults_of(library), changed)
 
     def take_in_new_ones(self) -> None:
         self._follow()
@@ -85,9 +85,10 @@ class Sources(FileWatch):
         with self._lock:
             if self._faults:
                 faulty = [one for one in library if one.label in self._faults]
-                self._note(self._faults_of(faulty), ())
+                self._note(self.faults_of(faulty), ())
 
-    def _faults_of(self, library: Iterable[Transformation]) -> dict[str, str]:
+    def faults_of(self, library: Iterable[Transformation]) -> dict[str, str]:
+        """Return the faults of the code of transformations, by label, and remember none."""
         return {label: str(fault) for label, fault in faults_of(library, self._folder, self._check).items()}
 
     def _note(self, faults: Mapping[str, str], changed: Collection[str]) -> None:

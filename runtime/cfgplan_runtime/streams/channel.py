@@ -71,10 +71,12 @@ class Sender:
     def depth(self) -> int:
         return len(self._waiting) + (self._rest is not None)
 
-    def tell_place(self, last: Moment) -> None:
-        """Tell the receiver, before any element, which one was the last that it does not get."""
+    def tell_place(self, last: Moment, before: int) -> None:
+        """Tell the receiver, before any element, which one was the last that it does not get, and how many there were
+        `before`.
+        """
         time_ns, turn = last
-        head = HEADER.pack(PLACE_MARK, 0, max(turn, 0), 0, time_ns)
+        head = HEADER.pack(PLACE_MARK, 0, max(turn, 0), before, time_ns)
         sent = self._try([head])
         if sent < len(head) and not self.is_closed:
             self._rest = memoryview(head)[sent:]
@@ -160,6 +162,8 @@ class Receiver:
         self.has_ended = False
         self.place: Moment | None = None
         """The moment after which it gets every element; None until the sender has told it."""
+        self.before = 0
+        """How many elements the sender had given by then."""
         self._chunk = memoryview(bytearray(_FIRST_CHUNK))
         self._pending = b""
         self._header: tuple[int, int, int, int] | None = None
@@ -210,7 +214,7 @@ class Receiver:
                 start += HEADER.size
                 if mark == PLACE_MARK:
                     self.place = BEFORE_ALL if time_ns == BEFORE_ALL[0] else (time_ns, turn)
-                    self._header = None
+                    self.before, self._header = number, None
                     continue
                 if mark != HEADER_MARK or length > LONGEST_PAYLOAD:
                     self.has_ended = True

@@ -20,7 +20,9 @@ HEADER_MARK = 0x9E3779B9
 """The first bytes of a header: what a faulty unit writes into a channel is not taken for the length of an element."""
 
 PLACE_MARK = 0x9E3779BA
-"""The first bytes of a header that is no element, but tells the moment after which a subscription has every element."""
+"""The first bytes of a header that is no element, but tells the moment after which a subscription has every element;
+its sequence number is the number of elements before.
+"""
 
 LONGEST_PAYLOAD = 1 << 31
 

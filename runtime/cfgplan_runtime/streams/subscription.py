@@ -5,7 +5,7 @@ from __future__ import annotations
 import selectors
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -91,6 +91,11 @@ class SubscriptionToTopic(Closable):
         """The number of elements dropped because this consumer was slow."""
         self._place = place
         self._timeout_s = timeout_s
+        self.on_begin: Callable[[int], object] = lambda _: None
+        """Called with the number of the topic's elements before the connection, once every later one comes; again after
+        each later connection.
+        """
+        self._has_begun = False
         self._receiver: Receiver | None = None
         self._next_number = 0
         self._last: Moment | None = None
@@ -107,10 +112,13 @@ class SubscriptionToTopic(Closable):
         while self._receiver is not None:
             self._wait(self._receiver)
             for element in self._receiver.read():
+                if not self._has_begun:
+                    self._note_place(self._receiver)
                 if self._is_new(element):
                     yield element
                 if self._receiver is None:
                     return
+            self._note_place(self._receiver)
             if self._receiver.has_ended:
                 self._receiver.close()
                 self._reconnect()
@@ -136,6 +144,11 @@ class SubscriptionToTopic(Closable):
             if not selector.select(self._timeout_s):
                 raise TimeoutError(f"nothing came on {self.topic} for {self._timeout_s} s")
 
+    def _note_place(self, receiver: Receiver) -> None:
+        if not self._has_begun and receiver.place is not None:
+            self._has_begun = True
+            self.on_begin(receiver.before)
+
     def _is_new(self, element: Element) -> bool:
         self.dropped += element.number - self._next_number
         self._next_number = element.number + 1
@@ -157,7 +170,7 @@ class SubscriptionToTopic(Closable):
         if end is None:
             return False
         self._receiver = Receiver(end)
-        self._next_number = 0
+        self._next_number, self._has_begun = 0, False
         return True
 
 

@@ -7,13 +7,16 @@ Everything happens in the thread that calls it; the backend's events are its onl
 from __future__ import annotations
 
 import uuid
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Collection, Generator, Mapping, Set
 from dataclasses import dataclass, replace
 from math import inf
+from types import FunctionType
+from typing import TypeAlias
 
 import msgspec
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Transformation
+from cfgplan.errors import InvalidValueError
 from cfgplan_runtime.errors import ApplyError, RuntimeFaultError, StaleChangeSetError
 from cfgplan_runtime.supervision import events, updates
 from cfgplan_runtime.supervision.backend import Backend, Failures, Found, Inlet
@@ -37,14 +40,22 @@ _DRY_S = 2.5
 _MOST_REMEMBERED = 1000
 """The number of change sets that are remembered by the ids that their callers gave."""
 
+Follower: TypeAlias = Callable[[Collection[str]], bool]
+"""Begins to follow those of these topics that it wants, and returns at once: whether it gets every element from now on.
+
+As soon as that becomes so, it wakes the backend.
+"""
+
 
 class Supervisor:
     """Holds the running configuration in `environment`, which `backend` runs; `report` gets every event, in order.
 
-    The update under way reads it as `updates.Actual`; only the supervisor changes it.
+    Raises InvalidValueError if the backend lacks a method. The update under way reads it as `updates.Actual`; only the
+    supervisor changes it.
     """
 
     def __init__(self, backend: Backend, environment: Environment, report: Callable[[events.Event], None]) -> None:
+        _check_backend(backend)
         self.backend = backend
         self.environment = environment
         self.wiring = Wiring(backend)
@@ -59,6 +70,7 @@ class Supervisor:
         """The last event of each host that the backend reports."""
         self.cause_of_death: dict[str, str] = {}
         self.is_ending = False
+        self.followers: tuple[Follower, ...] = ()
         self._is_abandoned: Callable[[], bool] = lambda: False
         """Whether the update under way was given up by its caller."""
         self._report = report
@@ -73,6 +85,11 @@ class Supervisor:
         self._library: dict[str, Transformation] = {}
         self._stopping: dict[str, _Stopping] = {}
         """Units that were told to stop before this supervisor began."""
+        self._beginning: Set[str] = frozenset()
+        self._begin_s = 0.0
+        """Units of an earlier supervisor that are connected but not active yet, and when they begin: followers of their
+        topics need time to connect.
+        """
         self._found_s: dict[str, float] = {}
         """When each running unit of an earlier supervisor was started."""
         self._failures: dict[tuple[str, str], tuple[events.FailuresKept, float]] = {}
@@ -216,6 +233,11 @@ class Supervisor:
             if record.status is not None and record.status.outputs and now - record.gave_s >= _DRY_S
         }
 
+    def is_followed(self, topics: Set[str]) -> bool:
+        """Whether all followers of these topics are connected to them. One that fails is not waited for."""
+        waiting = [follower for follower in self.followers if not _is_connected(follower, topics)]  # each is asked
+        return not waiting
+
     def _adopt(self, found: Found) -> None:
         """Continue with the units of an earlier supervisor. Their silence so far makes no unit late."""
         self.environment = replace(self.environment, units=found.units, library=found.library, hosts=found.hosts)
@@ -240,8 +262,8 @@ class Supervisor:
                 record.labor_us = found.labor_us[unit.id]
         self.inactive |= found.inactive
         connected = {end for wire in found.wires for end in (wire.stream.unit, wire.inlet.unit)}
-        for unit_id in sorted(found.inactive & (connected | wanted_to_run(self.environment))):
-            self._activate(unit_id)
+        self._beginning = found.inactive & (connected | wanted_to_run(self.environment))
+        self._begin_s = self.now() + self._update_patience.follow_s
 
     def _drive(self, commands: Generator[updates.Command, None, updates.CarriedOut]) -> updates.CarriedOut:
         """Carry out an update. The first command that fails is thrown into it, so that all is undone.
@@ -511,6 +533,10 @@ class Supervisor:
                 del self._patience[helper]
                 self._report(events.HelperHung(helper, now - sign_s))
                 self.backend.renew(helper)
+        if self._beginning and now >= self._begin_s:
+            beginning, self._beginning = self._beginning & self.inactive, frozenset()
+            for unit in sorted(beginning):
+                self._activate(unit)
         for unit, stopping in self._stopping.items():
             if now >= stopping.end_s:
                 if not stopping.is_cut_short:
@@ -546,6 +572,23 @@ class _Stopping:
     end_s: float
     limit_s: float
     is_cut_short: bool = False
+
+
+def _check_backend(backend: Backend) -> None:
+    """Raise InvalidValueError if a backend lacks methods. Without this check, only the update that needs them fails."""
+    methods = (name for name, member in vars(Backend).items() if isinstance(member, FunctionType) and name[0] != "_")
+    lacking = sorted(name for name in methods if not callable(getattr(backend, name, None)))
+    if lacking:
+        name = type(backend).__name__
+        raise InvalidValueError(f"the backend {name} lacks {', '.join(lacking)}; see Backend in {Backend.__module__}")
+
+
+def _is_connected(follower: Follower, topics: Collection[str]) -> bool:
+    try:
+        return follower(topics)
+    except Exception:
+        LOG.exception("a follower of %s has failed", ", ".join(sorted(topics)))
+        return True
 
 
 def _patience_s(transformation: Transformation) -> float | None:

@@ -35,7 +35,7 @@ TIME_TO_DUMP_S = 0.2
 @dataclass(frozen=True, slots=True)
 class Patience:
     """The times that the steps of an update may take, in seconds: a start `start_s`, a stop `stop_s`, then the end of a
-    process `kill_s`.
+    process `kill_s`. Followers of topics, such as a recording, may take `follow_s` until they are connected.
 
     If the new source of an input sends nothing for `switch_s`, the input switches to it when the old source is stopped.
     """
@@ -44,6 +44,7 @@ class Patience:
     switch_s: float = 2.0
     stop_s: float = 2.0
     kill_s: float = 10.0
+    follow_s: float = 2.0
 
 
 class Actual(Protocol):
@@ -85,6 +86,9 @@ class Actual(Protocol):
 
     def dry_units(self) -> Set[str]:
         """Units with outputs that have sent nothing for a while."""
+
+    def is_followed(self, topics: Set[str]) -> bool:
+        """Whether all followers of these topics are connected to them."""
 
     def now(self) -> float:
         """Seconds on a monotonic clock."""
@@ -387,6 +391,7 @@ class _Update:
         for unit in heirs:
             self.held.add(unit)
             yield HoldUnit(unit)
+        yield from self.await_followers()
         for inlet, stream in wanted.items():
             if not self.lives(inlet):
                 continue  # its unit has died meanwhile
@@ -412,6 +417,15 @@ class _Update:
         for inlet in [inlet for inlet in actual.feeds if inlet not in wanted]:
             if inlet.unit not in self.change_set.stopped:
                 yield Disconnect(inlet)
+
+    def await_followers(self) -> Commands:
+        """Wait until no follower of a topic without a source would miss its first elements."""
+        actual, outlets = self.actual, {inlet for inlet in self.wanted if inlet.is_outlet and self.lives(inlet)}
+        topics = {inlet.port for inlet in outlets - actual.feeds.keys()}
+        if topics and not actual.is_followed(topics):
+            yield WaitUntil(
+                lambda: actual.is_followed(topics) or bool(self.dead()) or actual.is_abandoned, self.patience.follow_s
+            )
 
     def activate(self, units: Iterable[str]) -> Commands:
         """Activate the inactive ones of these units, sources last, since the others wait for elements."""
