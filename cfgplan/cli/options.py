@@ -302,7 +302,7 @@ def run_name(text: str) -> str:
 
 
 def count(text: str) -> int:
-    value = _decimal(text, is_count=True)
+    value = _decimal(text, "a whole number of at least 1, such as 3", guesses=False)
     if value != value.to_integral_value() or value < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1: write one, such as 3")
     return int(value)
@@ -332,7 +332,7 @@ def not_negative(text: str) -> float:
 
 
 def positive(text: str) -> float:
-    value = _decimal(text)
+    value = _decimal(text, "a number above 0, such as 10")
     if value <= 0:
         raise argparse.ArgumentTypeError(f"{text!r} is not a positive number: write one above 0")
     return float(value)
@@ -347,17 +347,29 @@ def cost(text: str) -> int:
         raise argparse.ArgumentTypeError(str(error)) from None
 
 
-def _decimal(text: str, *, is_count: bool = False) -> Decimal:
+def _decimal(text: str, allowed: str = "a number of 0 or more, such as 10", *, guesses: bool = True) -> Decimal:
+    """The number that a text is. Errors say what is `allowed`; if it `guesses`, they say the number that was meant."""
     try:
         value = Decimal(text)
     except InvalidOperation:
         from cfgplan.costs import guessed_s
 
-        meant = None if is_count else guessed_s(text)
-        such = "such as 10" if meant is None else f"{meant.normalize():f}"
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number: write a plain one, {such}") from None
+        meant = guessed_s(text) if guesses else None
+        such = allowed if meant is None else f"a plain one, {meant.normalize():f}"
+        what = "negative" if _is_negative(text) else "not a number"
+        raise argparse.ArgumentTypeError(f"{text!r} is {what}: write {such}") from None
     if not value.is_finite():
-        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number: write one, such as 10")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number: write {allowed}")
+    return _not_too_large(text, value)
+
+
+def _is_negative(text: str) -> bool:
+    """Whether a text means a number below 0, perhaps with a unit."""
+    return re.match(r"\s*-\s*\.?\d", text) is not None
+
+
+def _not_too_large(text: str, value: Decimal) -> Decimal:
+    """Return the value of a text if no clock or cost overflows by it."""
     if value > _LARGEST_NUMBER:
         raise argparse.ArgumentTypeError(f"{text!r} is too large: the limit is {_LARGEST_NUMBER}")
     return value
@@ -441,12 +453,16 @@ def write_plots(
 
 def duration(text: str) -> float:
     """Seconds of `30s`, `1.5m`, `200ms`, `2h` or plain `30`."""
-    from cfgplan.costs import span_s
+    from cfgplan.costs import guessed_s, span_s
 
     seconds = Decimal(text) if re.fullmatch(r"\d+(\.\d+)?", text) else span_s(text)
+    if seconds is None and _is_negative(text):
+        raise argparse.ArgumentTypeError(f"{text!r} is negative: write 0 or more, such as 30s, 5m or 1h")
     if seconds is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a span of time: write 30s, 5m or 1h")
-    return float(seconds)
+        meant = None if "%" in text else guessed_s(text)
+        such = "30s, 5m or 1h" if meant is None else f"{meant.normalize():f}s"
+        raise argparse.ArgumentTypeError(f"{text!r} is not a span of time: write {such}")
+    return float(_not_too_large(text, seconds))
 
 
 def field_faults(world: api.World) -> Iterator[Fault]:
