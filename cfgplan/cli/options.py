@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from cfgplan.amounts import MICROSECONDS
 from cfgplan.canonical import normal
 from cfgplan.cli.screen import Screen, ShownWork, decided_by
-from cfgplan.errors import Fault, InvalidValueError
+from cfgplan.errors import Fault, InputError, InvalidValueError
 from cfgplan.extras import is_there, needed
 from cfgplan.formats.places import Place
 from cfgplan.onward import grouped
@@ -124,6 +124,14 @@ def add_what_if(parser: argparse.ArgumentParser, restriction: str | None = None)
     add_several(supposing, "--with", "FILE", also, dest="also")
     add_several(supposing, "--set", "KEY=VALUE", others, kind=setting, dest="settings")
     supposing.add_argument("--observed", metavar="FILE", help=observed)
+
+
+def refuse_beside(other: str, given: Mapping[str, object]) -> None:
+    """Raise InputError for each option that is `given` (its value by its name) but has no effect beside `other`."""
+    if idle := [name for name, value in given.items() if value]:
+        raise InputError.of(
+            f"{' and '.join(idle)} would have no effect with {other}", mend="leave out one or the other"
+        )
 
 
 def asks_what_if(options: argparse.Namespace) -> bool:

@@ -59,6 +59,20 @@ def env(write: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch) -> Path:
         ("import ros1 robot.launch --out new.ttl", "new.ttl: this name does not end as YAML does", "end it in .yaml"),
         ("import ros1 sim:=true --out new.yaml", "there are arguments, but no launch file", "name `live`"),
         ("init env.yaml", "env.yaml: this folder can't be made", "name a folder that exists or can be made"),
+        (
+            "solve ENV --alternatives 2 --progress -v",
+            "--progress and -v would have no effect with --alternatives",
+            "leave out one or the other",
+        ),
+        (
+            "solve ENV --front q --detailed-exitcode",
+            "--detailed-exitcode would have no effect with --front",
+            "leave out",
+        ),
+        ("solve ENV --best-effort --progress", "--progress would have no effect with --best-effort", "leave out"),
+        ("run ENV --allow-code --dry-run", "--allow-code is for the page of the run", "add --page"),
+        ("replay a.mcap --out b.yaml --for 3s", "--for would have no effect with --out", "leave out"),
+        ("replay a.mcap ENV --extract b --loop", "ENV and --loop would have no effect with --extract", "leave out"),
         ("agent --name a/b", "--name: 'a/b' can't be the name of a host", "without /"),
     ],
 )
