@@ -83,8 +83,13 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     if options.out:
         shared.refuse_beside("--out", of_run)
     if options.extract is not None:
-        played = {"ENV": options.env, "--speed": options.speed != 1, "--loop": options.loop, "--topic": options.topic}
-        shared.refuse_beside("--extract", of_run | played)
+        of_sources = {
+            "ENV": options.env,
+            "--speed": options.speed != 1,
+            "--loop": options.loop,
+            "--topic": options.topic,
+        }
+        shared.refuse_beside("--extract", of_run | of_sources)
     with screen.phase("read"):
         found = recorded(Path(options.path))
     if options.extract is not None:
