@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import combinations_with_replacement
 from typing import TYPE_CHECKING, Any, get_args
 
-from cfgplan.domain import CPU, MEMORY, POWER, Environment, Host, Link, Objective, RunOptions, Transformation
+from cfgplan.domain import CPU, MEMORY, POWER, Environment, Link, Objective, RunOptions, Transformation
 from cfgplan.errors import Fault
 from cfgplan.facts import requirement
 from cfgplan.formats.environment_file import ANY_IMPORT
@@ -70,11 +70,12 @@ def _key(word: _Idle) -> Iterable[str]:
 def _in_library(world: World) -> Iterator[_Idle]:
     environment, file = world.environment, world.file
     assert file is not None
+    limited = {each for each in (MEMORY, POWER) for host in environment.hosts if host.room(each, 1) is not None}
     for each in environment.library:
         origin = file.origins[("transformation", each.label)]
         found = [*_of_run(each), *_of_ports(each)]
         if origin.source.file == str(file.path):
-            found += _unlimited(each, environment.hosts)
+            found += _unlimited(each, limited if environment.hosts else None)
             found += [] if environment.qualities else _ungraded(origin)
         yield from (_Idle("transformation", each.label, path, why) for path, why in found)
 
@@ -138,14 +139,14 @@ def _of_ports(t: Transformation) -> Iterator[_Word]:
                 yield ("outputs", port.name, "quality", stated.attribute, "of"), "there are no values of several inputs"
 
 
-def _unlimited(t: Transformation, hosts: Collection[Host]) -> Iterator[_Word]:
-    """What a transformation says of hosts and takes on them, where none are declared or none limits it."""
+def _unlimited(t: Transformation, limited: Collection[str] | None) -> Iterator[_Word]:
+    """What a transformation says of hosts and takes on them; they have the `limited` resources, None without hosts."""
     for key, value in (("on", t.on), ("at_most", t.at_most), ("memory", t.memory_mb), ("needs", t.needs)):
-        if value and not hosts:
+        if value and limited is None:
             yield (key,), _NO_HOSTS
     for path, resource, by in ((("memory",), MEMORY, "memory"), (("needs", POWER), POWER, "energy")):
         said = t.memory_mb if resource == MEMORY else t.needs.get(resource)
-        if said and hosts and all(host.room(resource, 1) is None for host in hosts):
+        if said and limited is not None and resource not in limited:
             yield path, f"no host has `{by}`"
 
 
@@ -161,20 +162,24 @@ def _ungraded(origin: Passage) -> Iterator[_Word]:
 
 def _in_fleet(environment: Environment) -> Iterator[_Idle]:
     hosts, links, library = environment.hosts, environment.links, environment.library
-    selectors = [text for t in library for text in (*t.at_most, t.on or "")] + [x for k in links for x in k.between]
+    texts = {text for t in library for text in (*t.at_most, t.on or "")} | {
+        end for link in links for end in link.between
+    }
+    selectors, taken = "\n".join(texts), {each for t in library for each, amount in t.takes.items() if amount}
+    needed = {each for t in library for each in t.needs} | {POWER}
     for host in hosts:
         for key, resource, by in _RESOURCES:
-            if host.room(resource, 1) is not None and not any(t.takes.get(resource) for t in library):
+            if host.room(resource, 1) is not None and resource not in taken:
                 yield _Idle("host", host.name, (key,), f"no transformation has `{by}`")
-        for resource in host.offers.keys() - {each for t in library for each in t.needs} - {POWER}:
+        for resource in sorted(host.offers.keys() - needed):
             yield _Idle("host", host.name, ("offers", resource), "no transformation needs it")
         for label in host.labels:
-            if not host.name.startswith(f"{label}.") and not any(label in text for text in selectors):
+            if not host.name.startswith(f"{label}.") and label not in selectors:
                 yield _Idle("host", host.name, ("labels",), f"no selector names {label}")
     pairs = _linked(environment)
     is_carried = any(port.bytes_per_s for t in library for port in t.outputs)
-    for number, link in enumerate(links):
-        name = str(number)
+    for number, link in enumerate(links, start=1):
+        name = f"link {number}"
         if link not in pairs and all(any(host.fits(end) for host in hosts) for end in link.between):
             yield _Idle("link", name, ("between",), "each two hosts that it joins have an earlier link, or are one")
         for key, value in (("bandwidth", link.bandwidth), ("price", link.price_us)):

@@ -78,7 +78,7 @@ class FleetReader:
                 main.at("links", index), link
             ):
                 between = link.between[0], link.between[1]
-                self.origins["link", str(len(self.links))] = main.at("links", index)
+                self.origins["link", f"link {len(self.links) + 1}"] = main.at("links", index)
                 self.links += (Link(between, link.bandwidth, link.price, link.latency, link.adds),)
         self.survive = self._survived(main.at("survive"), header.survive, has_hosts=bool(header.hosts))
 
