@@ -48,6 +48,8 @@ def guessed_s(text: str) -> Decimal | None:
 def horizon_s(text: str) -> int:
     """A horizon in whole seconds: 60, 60s, 10m or 1h; raises InvalidValueError for anything else."""
     seconds = Decimal(text) if text.isdecimal() else span_s(text)
+    if re.match(r"\s*-\s*\.?\d", text):
+        raise InvalidValueError(f"{text!r} is negative: write whole seconds of 0 or more, or 30s, 10m or 1h")
     if seconds is None or seconds != int(seconds):
         raise InvalidValueError(f"{text!r} is not a horizon: write whole seconds, or 30s, 10m or 1h")
     if seconds > LONGEST_HORIZON_S:

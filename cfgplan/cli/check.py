@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING
 
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import Exit
+from cfgplan.cli.idle_words import idle_words
 from cfgplan.cli.plan_text import left_out_lines, nothing_wanted, plain_barred
 from cfgplan.cli.screen import Screen, append_excerpt, counted
 from cfgplan.errors import Fault, did_you_mean
@@ -45,8 +46,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     faulty = [*shared.code_faults(world, world.environment.transformation), *shared.field_faults(world)]
     for warning in noisy:
         screen.warn(warning)
-    for code_fault in faulty:
-        screen.warn_of(code_fault)
+    for fault_of_file in (*faulty, *idle_words(world)):
+        screen.warn_of(fault_of_file)
     if not world.environment.units and options.against is None:
         return _nothing_runs(options, world, screen, all_start=not faulty)
     found, gone = every, 0
@@ -128,7 +129,7 @@ def _faults(
         found = answers.wiring_faults(world, problem, **reasoning)
         noisy = (*blurred(world.environment, problem.similarity), *hidden(world.environment, problem.similarity))
         noisy = (*noisy, *double_owners(world.environment), *shared_states(problem))
-        noisy = (*noisy, *_idle(world.environment), *_stateless(world.environment))
+        noisy = (*noisy, *_idle(world.environment))
         return world, tuple(sorted([*ros_faults(world.environment), *found], key=probable_first)), noisy
 
 
@@ -152,17 +153,6 @@ def _idle(environment: Environment) -> Iterator[str]:
         yield from (f"{told(end)}: it limits no units of {each.label}" for end in each.at_most if is_idle(end))
         if each.on is not None and is_idle(each.on):
             yield f"{told(each.on)}: {each.label} can't run on any host"
-
-
-def _stateless(environment: Environment) -> Iterator[str]:
-    """Yield a warning for each program and ROS node with a `state`, which only Python code can keep."""
-    from cfgplan.ros.sources import NodeKind
-
-    for each in environment.library:
-        scheme, _, rest = (each.source or "").partition(":")
-        is_python = scheme != "program" and (scheme not in get_args(NodeKind) or "/" not in rest)
-        if each.state_name is not None and not is_python:
-            yield f"{each.label} keeps no state: `run: {{state: ...}}` has an effect only on Python code"
 
 
 def _text(world: World, fault: WiringFault) -> Text:

@@ -178,8 +178,12 @@ def _say_no_more() -> None:
 
 class Parser(argparse.ArgumentParser):
     """A parser that raises its errors as InputError. A command's parser refuses unknown arguments itself, so that its
-    own help is named.
+    own help is named. A word that begins like a negative number is a value, so that the option's type refuses it.
     """
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._negative_number_matcher = re.compile(r"-\.?\d")
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         known, unknown = super().parse_known_args(args, namespace)

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from cfgplan.amounts import MICROSECONDS
 from cfgplan.canonical import normal
 from cfgplan.cli.screen import Screen, ShownWork, decided_by
-from cfgplan.errors import Fault, InvalidValueError
+from cfgplan.errors import Fault, InputError, InvalidValueError
 from cfgplan.extras import is_there, needed
 from cfgplan.formats.places import Place
 from cfgplan.onward import grouped
@@ -124,6 +124,14 @@ def add_what_if(parser: argparse.ArgumentParser, restriction: str | None = None)
     add_several(supposing, "--with", "FILE", also, dest="also")
     add_several(supposing, "--set", "KEY=VALUE", others, kind=setting, dest="settings")
     supposing.add_argument("--observed", metavar="FILE", help=observed)
+
+
+def refuse_beside(other: str, given: Mapping[str, object]) -> None:
+    """Raise InputError for each option that is `given` (its value by its name) but has no effect beside `other`."""
+    if idle := [name for name, value in given.items() if value]:
+        raise InputError.of(
+            f"{' and '.join(idle)} would have no effect with {other}", mend="leave out one or the other"
+        )
 
 
 def asks_what_if(options: argparse.Namespace) -> bool:
@@ -302,7 +310,7 @@ def run_name(text: str) -> str:
 
 
 def count(text: str) -> int:
-    value = _decimal(text, is_count=True)
+    value = _decimal(text, "a whole number of at least 1, such as 3", guesses=False)
     if value != value.to_integral_value() or value < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1: write one, such as 3")
     return int(value)
@@ -332,7 +340,7 @@ def not_negative(text: str) -> float:
 
 
 def positive(text: str) -> float:
-    value = _decimal(text)
+    value = _decimal(text, "a number above 0, such as 10")
     if value <= 0:
         raise argparse.ArgumentTypeError(f"{text!r} is not a positive number: write one above 0")
     return float(value)
@@ -347,17 +355,29 @@ def cost(text: str) -> int:
         raise argparse.ArgumentTypeError(str(error)) from None
 
 
-def _decimal(text: str, *, is_count: bool = False) -> Decimal:
+def _decimal(text: str, allowed: str = "a number of 0 or more, such as 10", *, guesses: bool = True) -> Decimal:
+    """The number that a text is. Errors say what is `allowed`; if it `guesses`, they say the number that was meant."""
     try:
         value = Decimal(text)
     except InvalidOperation:
         from cfgplan.costs import guessed_s
 
-        meant = None if is_count else guessed_s(text)
-        such = "such as 10" if meant is None else f"{meant.normalize():f}"
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number: write a plain one, {such}") from None
+        meant = guessed_s(text) if guesses else None
+        such = allowed if meant is None else f"a plain one, {meant.normalize():f}"
+        what = "negative" if _is_negative(text) else "not a number"
+        raise argparse.ArgumentTypeError(f"{text!r} is {what}: write {such}") from None
     if not value.is_finite():
-        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number: write one, such as 10")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number: write {allowed}")
+    return _not_too_large(text, value)
+
+
+def _is_negative(text: str) -> bool:
+    """Whether a text means a number below 0, perhaps with a unit."""
+    return re.match(r"\s*-\s*\.?\d", text) is not None
+
+
+def _not_too_large(text: str, value: Decimal) -> Decimal:
+    """Return the value of a text if no clock or cost overflows by it."""
     if value > _LARGEST_NUMBER:
         raise argparse.ArgumentTypeError(f"{text!r} is too large: the limit is {_LARGEST_NUMBER}")
     return value
@@ -441,12 +461,16 @@ def write_plots(
 
 def duration(text: str) -> float:
     """Seconds of `30s`, `1.5m`, `200ms`, `2h` or plain `30`."""
-    from cfgplan.costs import span_s
+    from cfgplan.costs import guessed_s, span_s
 
     seconds = Decimal(text) if re.fullmatch(r"\d+(\.\d+)?", text) else span_s(text)
+    if seconds is None and _is_negative(text):
+        raise argparse.ArgumentTypeError(f"{text!r} is negative: write 0 or more, such as 30s, 5m or 1h")
     if seconds is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a span of time: write 30s, 5m or 1h")
-    return float(seconds)
+        meant = None if "%" in text else guessed_s(text)
+        such = "30s, 5m or 1h" if meant is None else f"{meant.normalize():f}s"
+        raise argparse.ArgumentTypeError(f"{text!r} is not a span of time: write {such}")
+    return float(_not_too_large(text, seconds))
 
 
 def field_faults(world: api.World) -> Iterator[Fault]:

@@ -73,6 +73,23 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
     from cfgplan import api
 
+    of_run = {
+        "--for": options.span is not None,
+        "--name": options.name,
+        "--dry-run": options.dry_run,
+        "--record": options.record,
+        "--plain": options.plain,
+    }
+    if options.out:
+        shared.refuse_beside("--out", of_run)
+    if options.extract is not None:
+        of_sources = {
+            "ENV": options.env,
+            "--speed": options.speed != 1,
+            "--loop": options.loop,
+            "--topic": options.topic,
+        }
+        shared.refuse_beside("--extract", of_run | of_sources)
     with screen.phase("read"):
         found = recorded(Path(options.path))
     if options.extract is not None:

@@ -18,6 +18,7 @@ from cfgplan.cli import options as shared
 from cfgplan.cli import run_targets
 from cfgplan.cli.agent import add_links
 from cfgplan.cli.exits import Exit, exit_of
+from cfgplan.cli.idle_words import idle_words
 from cfgplan.cli.interrupts import Interrupts
 from cfgplan.cli.run_checks import (
     check_can_start,
@@ -147,6 +148,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
     if options.page is not None:
         shared.needed_for_pages()
+    elif options.allow_code:
+        raise InputError.of("--allow-code is for the page of the run", mend="add --page, or leave it out")
     for option, (who, package) in _EXTRAS.items():
         given = getattr(options, option)
         if not options.dry_run and given is not None and given is not False and given != []:
@@ -191,6 +194,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         screen.note(f"The file names {count}, but `cfgplan run` ignores them and starts from nothing; {mend}.")
     if told := nothing_wanted(loaded.environment):
         screen.warn(told)
+    for fault in idle_words(loaded):
+        screen.warn_of(fault)
     for line in left_out_lines(loaded.environment):
         screen.note(line)
     world = replace(loaded, environment=replace(loaded.environment, units=()))

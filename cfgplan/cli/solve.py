@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import OF_STATUS, Exit, exit_of
 from cfgplan.cli.front import add_front, show_front
+from cfgplan.cli.idle_words import idle_words
 from cfgplan.cli.plan_text import cpu, verdict
 from cfgplan.cli.screen import Screen, blamed, counted
 from cfgplan.cli.styled import Text
@@ -68,6 +69,15 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         raise InputError.of("--plot draws what --front finds", mend="add --front; `cfgplan graph` draws an update")
     if options.out and options.front is not None:
         raise InputError.of("--out writes one plan, but --front finds several", mend="use --json, or --plot FILE")
+    of_one_plan = {
+        "--progress": options.progress,
+        "--detailed-exitcode": options.detailed_exitcode,
+        "-v": options.verbose,
+    }
+    if options.front is not None or options.alternatives:
+        shared.refuse_beside("--front" if options.front is not None else "--alternatives", of_one_plan)
+    if options.best_effort:
+        shared.refuse_beside("--best-effort", {"--progress": options.progress})
     task = shared.task(options, screen)
     try:
         if options.front is not None:
@@ -126,7 +136,7 @@ def _solve(options: argparse.Namespace, screen: Screen, task: shared.Task) -> Ex
         for warning in double_owners(problem.after(plan)) if plan.change_set is not None else ():
             screen.warn(warning)
         started = {unit.transformation for unit in plan.change_set.started} if plan.change_set is not None else set()
-        for fault in shared.code_faults(world, sorted(started)):
+        for fault in (*shared.code_faults(world, sorted(started)), *idle_words(world)):
             screen.warn_of(fault)
         if options.verbose:
             screen.note("\n".join(f"  {name:32} {count}" for name, count in plan.counts.items()))

@@ -415,7 +415,7 @@ def _build(document: Document, vocabulary: TagVocabulary) -> EnvironmentFile:
         document.imports,
         document.ignores_rules,
         tuple(written for written, _ in document.preferred),
-        names.origins,
+        names.origins | fleet.origins,
     )
 
 

@@ -27,7 +27,8 @@ FoundImports: TypeAlias = tuple[tuple[str, FilePath | None], ...]
 class EnvironmentFile:
     """An environment, the other inputs of planning, and the places of its parts.
 
-    `origins` maps ("transformation", label), ("unit", id) and ("target", label) to their places.
+    `origins` maps kinds and names to places, such as ("transformation", label), ("unit", id), ("target", label) and
+    ("host", name).
     """
 
     path: FilePath

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from cfgplan.errors import Fault, InputError, close_file
+from cfgplan.file_content import NoWriterError, content_of
 from cfgplan.formats.json_text import read_json
 from cfgplan.formats.places import Source
 from cfgplan.formats.yaml_text import read_yaml
@@ -49,12 +50,12 @@ def read_bytes(path: Path) -> bytes:
     """The content of a file that is not too large; raises InputError."""
     name = str(path)
     try:
-        with path.open("rb") as stream:
-            content = stream.read(LARGEST_FILE_BYTES + 1)
+        content = content_of(path, LARGEST_FILE_BYTES + 1)
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or error
         message, mend = _UNREADABLE.get(type(error), (f"the file can't be read: {why}", "check the path"))
         mend = "name /dev/stdin for standard input" if name == "-" else mend
+        mend = "start that program too, or name a file" if isinstance(error, NoWriterError) else mend
         if isinstance(error, FileNotFoundError) and (close := close_file(path, SUFFIXES)) is not None:
             mend = f"did you mean `{close}`?"
         elif isinstance(error, FileNotFoundError) and not is_folder(path.parent):

@@ -39,6 +39,8 @@ class FleetReader:
         self.attributes: dict[str, QualityAttribute] = {}
         self.links: tuple[Link, ...] = ()
         self.facts: dict[str, Fact] = {}
+        self.origins: dict[tuple[str, str], Passage] = {}
+        """The places of hosts, quality attributes and facts by kind and name, and of links by number."""
         header = document.header
         main = Passage(document.files[0].source, (), faults) if document.files else None
         if main is None:  # a folder of the paper's XML has no header
@@ -48,6 +50,7 @@ class FleetReader:
             entry = main.at("hosts", index)
             names, known = _names_of(host), {*self.hosts, *self.copies}
             if all(self._is_new(entry, name, known) for name in dict.fromkeys((host.name, *names))):
+                self.origins |= {("host", name): entry for name in names}
                 try:
                     self.hosts |= {name: _made(host, name) for name in names}
                 except InvalidValueError as error:
@@ -61,6 +64,7 @@ class FleetReader:
         for index, part in enumerate(header.qualities or ()):
             entry = main.at("qualities", index)
             if self._is_new(entry, part.name, self.attributes):
+                self.origins["quality", part.name] = entry
                 try:
                     self.attributes[part.name] = QualityAttribute(**part.values())
                 except InvalidValueError as error:
@@ -74,12 +78,13 @@ class FleetReader:
                 main.at("links", index), link
             ):
                 between = link.between[0], link.between[1]
+                self.origins["link", f"link {len(self.links) + 1}"] = main.at("links", index)
                 self.links += (Link(between, link.bandwidth, link.price, link.latency, link.adds),)
         self.survive = self._survived(main.at("survive"), header.survive, has_hosts=bool(header.hosts))
 
     def _note_fact(self, entry: Passage, name: str, part: FactPart) -> None:
         """Add a fact; a contradiction among its keys is noted, and leaves the fact unobserved."""
-        said = part.values()
+        said, self.origins["fact", name] = part.values(), entry
         if misfit := misfit_of_fact(said):
             key, message, mend = misfit
             entry.at(key).note(message, mend, at_key=True)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 from urllib.parse import unquote, urljoin, urlsplit
 
 from cfgplan.errors import Fault, InputError
+from cfgplan.file_content import content_of
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -47,7 +48,7 @@ def _read(path: Path, _changed: int) -> Mapping[str, Path]:
             continue
         read.add(catalog)
         try:
-            root = fromstring(catalog.read_bytes())
+            root = fromstring(content_of(catalog))
         except OSError as error:
             raise InputError.of(f"the catalog can't be read: {error.strerror}", file=str(catalog)) from None
         except ParseError as error:

@@ -13,6 +13,7 @@ from typing import Any, Final
 from urllib.parse import unquote, urlsplit
 
 from cfgplan.errors import Fault, InputError, close_file
+from cfgplan.file_content import content_of
 from cfgplan.matching.catalog import catalogued
 from cfgplan.matching.functional import LOGICAL, parse, rule_text
 from cfgplan.matching.names import short_name
@@ -189,7 +190,7 @@ def _with_own_anonymous(axiom: str, number: int) -> str:
 
 def _read(path: Path, shown: str) -> _Document:
     try:
-        text = path.read_bytes().decode("utf-8-sig")
+        text = content_of(path).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise InputError.of("is not an ontology: the file is not text in UTF-8", file=shown, mend=_NO_TEXT) from None
     except FileNotFoundError:
@@ -444,7 +445,7 @@ def _declares(path: Path, iri: str, own_iris: dict[Path, str | None]) -> bool:
     """Whether a file is the ontology of an IRI. `own_iris` keeps what files call themselves."""
     if path not in own_iris:
         try:
-            text = path.read_text("utf-8-sig")
+            text = content_of(path).decode("utf-8-sig")
             if iri not in text:
                 return False
             syntax = _syntax_of(text, path.suffix.lower())

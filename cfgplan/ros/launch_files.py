@@ -14,6 +14,7 @@ from typing import Any
 import yaml
 
 from cfgplan.errors import InputError
+from cfgplan.file_content import content_of
 from cfgplan.formats.xml_elements import XmlElement, parse_xml
 from cfgplan.ros.graph import RosGraph, RosNode, resolved
 from cfgplan.ros.launch_elements import (
@@ -118,7 +119,7 @@ class _Walk:
 
     def file(self, path: Path, scope: _Scope) -> None:
         try:
-            root = parse_xml(path.read_bytes(), str(path))
+            root = parse_xml(content_of(path), str(path))
         except OSError as error:
             mend = "name a launch file"
             raise InputError.of(f"can't be read: {error.strerror}", file=str(path), mend=mend) from None
@@ -288,7 +289,7 @@ class _Walk:
     def _text_of(self, element: XmlElement, attribute: str, scope: _Scope) -> str | None:
         """The text of a file that an attribute names; None, and a note, if it is not here."""
         try:
-            return Path(self._needed(element, attribute, scope, missing=True)).read_text(encoding="utf-8")
+            return content_of(Path(self._needed(element, attribute, scope, missing=True))).decode()
         except PackageMissingError as error:
             self._notes.append(f"what {scope.file}:{element.line} loads, since {error}: see ROS_PACKAGE_PATH")
         except (OSError, UnicodeDecodeError) as error:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from cfgplan.errors import InputError
+from cfgplan.file_content import content_of
 from cfgplan.formats.json_text import read_json
 
 TD_CONTEXTS: Final = (
@@ -83,7 +84,7 @@ class Contexts:
 def _context(path: Path) -> object:
     """The context that a file holds. Raises InputError."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = content_of(path).decode()
     except (OSError, UnicodeDecodeError) as error:
         raise InputError.of(f"the context can't be read: {error}", file=str(path)) from None
     data = read_json(text, str(path)).data

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import argparse
+import os
+import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from command import Run
+
+from cfgplan import file_content
+from cfgplan.cli import options
+from cfgplan.cli.main import VERBS, parser_with
 
 LIBRARY = "transformations: [{label: a, outputs: {o: X}}]\ntargets: [{label: t, topic: /t, tag: X}]\n"
 PREFIXES = "@prefix : <x:> . @prefix owl: <http://www.w3.org/2002/07/owl#> ."
@@ -52,6 +59,20 @@ def env(write: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch) -> Path:
         ("import ros1 robot.launch --out new.ttl", "new.ttl: this name does not end as YAML does", "end it in .yaml"),
         ("import ros1 sim:=true --out new.yaml", "there are arguments, but no launch file", "name `live`"),
         ("init env.yaml", "env.yaml: this folder can't be made", "name a folder that exists or can be made"),
+        (
+            "solve ENV --alternatives 2 --progress -v",
+            "--progress and -v would have no effect with --alternatives",
+            "leave out one or the other",
+        ),
+        (
+            "solve ENV --front q --detailed-exitcode",
+            "--detailed-exitcode would have no effect with --front",
+            "leave out",
+        ),
+        ("solve ENV --best-effort --progress", "--progress would have no effect with --best-effort", "leave out"),
+        ("run ENV --allow-code --dry-run", "--allow-code is for the page of the run", "add --page"),
+        ("replay a.mcap --out b.yaml --for 3s", "--for would have no effect with --out", "leave out"),
+        ("replay a.mcap ENV --extract b --loop", "ENV and --loop would have no effect with --extract", "leave out"),
         ("agent --name a/b", "--name: 'a/b' can't be the name of a host", "without /"),
     ],
 )
@@ -114,3 +135,97 @@ def test_all_that_is_wrong_with_programs_is_told_before_anything_is_started(
     assert "files are relative to the environment file" in result.err
     assert f"{path.name}: b: source `program:'`" in result.err
     assert "Traceback" not in result.err
+
+
+OF_NUMBERS = (
+    options.cost,
+    options.count,
+    options.duration,
+    options.horizon,
+    options.not_negative,
+    options.port,
+    options.positive,
+)
+
+
+def actions(parser: argparse.ArgumentParser, words: str = "") -> Iterator[tuple[str, argparse.Action]]:
+    """Each option and operand of a parser and of its commands, behind the words that lead to it."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for name, inner in action.choices.items():
+                yield from actions(inner, f"{words} {name}".strip())
+        else:
+            yield f"{words} {'/'.join(action.option_strings) or action.dest}", action
+
+
+@pytest.mark.parametrize("text", ["-3s", "-3", "-.5", "x", "", "nan", "inf", "1e9999999", "99999999999999999999"])
+@pytest.mark.parametrize("kind", OF_NUMBERS)
+def test_an_option_with_a_number_says_what_is_wrong_with_another_and_what_is_allowed(
+    kind: Callable[[str], object], text: str
+) -> None:
+    with pytest.raises(argparse.ArgumentTypeError) as caught:
+        kind(text)
+    what, _, allowed = str(caught.value).partition(": ")
+    assert what.strip("'").startswith((text, "-0.5"))
+    assert allowed.startswith(("write ", "the limit is "))
+    assert text[:1] != "-" or "negative" in what or "at least 1" in what or "positive" in what or kind is options.port
+
+
+def test_every_option_with_a_number_has_one_of_these_kinds() -> None:
+    """A type such as `int` would tell neither what is wrong nor what is allowed."""
+    kinds = {action.type for _, action in actions(parser_with(VERBS))}
+    assert kinds.issuperset(OF_NUMBERS)
+    assert kinds.isdisjoint((int, float))
+
+
+@pytest.mark.parametrize("written", ["--for -3s", "--for=-3s", "--for -.5", "--for 5d", "--for nan"])
+def test_a_negative_value_reaches_the_option_that_it_stands_behind(run: Run, written: str) -> None:
+    err = run("listen", "/x", *written.split()).err
+    assert "error: argument --for: '" in err
+    assert ": write " in err
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "check PIPE",
+        "check ENV --against PIPE",
+        "solve PIPE",
+        "solve ENV --with PIPE",
+        "solve ENV --observed PIPE",
+        "compare PIPE",
+        "run PIPE",
+        "ctl add PIPE",
+        "import xml PIPE",
+        "import wot PIPE --out new.yaml",
+        "export yaml PIPE",
+        "replay PIPE",
+    ],
+)
+def test_a_pipe_that_no_program_writes_to_is_an_error(
+    run: Run, env: Path, monkeypatch: pytest.MonkeyPatch, command: str
+) -> None:
+    """Commands once waited for ever."""
+    monkeypatch.setattr(file_content, "WRITER_WAIT_S", 0.0)
+    os.mkfifo("pipe.yaml")
+    code, _, err = run(*command.replace("PIPE", "pipe.yaml").replace("ENV", env.name).split())
+    assert code == 30
+    assert "error: pipe.yaml: " in err
+    assert " pipe" in err.partition("pipe.yaml: ")[2]
+
+
+@pytest.mark.parametrize("named", ["ontology: PIPE", "include: PIPE"])
+def test_a_file_may_name_a_pipe_too(run: Run, env: Path, monkeypatch: pytest.MonkeyPatch, named: str) -> None:
+    monkeypatch.setattr(file_content, "WRITER_WAIT_S", 0.0)
+    os.mkfifo("pipe.ttl")
+    env.write_text(f"format: cfgplan/1\n{named.replace('PIPE', 'pipe.ttl')}\n{LIBRARY}")
+    assert "it is a pipe, and no program writes to it" in run("check", env.name).err
+
+
+def test_a_pipe_is_read_when_its_program_has_written(run: Run, env: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(file_content, "WRITER_WAIT_S", threading.TIMEOUT_MAX)
+    os.mkfifo("pipe.yaml")
+    writer = threading.Thread(target=Path("pipe.yaml").write_bytes, args=(env.read_bytes(),))
+    writer.start()
+    assert "1 transformation, 0 running units, 1 target: the file is valid" in run("check", "pipe.yaml").out
+    writer.join()

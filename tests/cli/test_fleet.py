@@ -157,11 +157,11 @@ def test_a_selector_that_chooses_no_host_is_warned_of(run: Run, write: Callable[
     )
     told = run("check", write(fleet))
     assert told.code == 0
-    assert told.err.splitlines() == [
+    assert [line for line in told.err.splitlines() if line.startswith("warning: no host fits")] == [
         "warning: no host fits `robt` (did you mean `robot`?): the link between 'robt' and 'base' has no effect",
         "warning: no host fits `robt or spot`: a can't run on any host",
         "warning: no host fits `robt` (did you mean `robot`?): it limits no units of b",
     ]
-    assert run("check", write(fleet.replace("robt", "robot"))).err == ""
+    assert "no host fits" not in run("check", write(fleet.replace("robt", "robot"))).err
     alone = run("check", write(fleet[fleet.index("transformations") :])).err
     assert "no host fits" not in alone

@@ -210,14 +210,3 @@ def test_who_asks_for_instances_instead_of_targets_is_not_asked(run: Run, write:
     env = write("transformations: [{label: s, min_instances: 1, outputs: {x: A}}]\n")
     result = run("solve", env)
     assert "targets:" not in result.out + result.err
-
-
-def test_a_state_that_no_unit_can_keep_is_warned_of(run: Run, write: Callable[[str], Path]) -> None:
-    library = "".join(
-        f"  - {{label: t{number}, source: '{source}', run: {{state: true}}, inputs: {{x: X}}, outputs: {{y: Y}}}}\n"
-        for number, source in enumerate(("program:cat", "node:demo/talker", "node:Class", "units.py:Class"))
-    )
-    told = run("check", write(f"transformations:\n{library}")).err
-    said = [line for line in told.splitlines() if "keeps no state" in line]
-    why = "keeps no state: `run: {state: ...}` has an effect only on Python code"
-    assert said == [f"warning: t0 {why}", f"warning: t1 {why}"]

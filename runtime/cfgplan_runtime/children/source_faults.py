@@ -18,6 +18,7 @@ from importlib.machinery import PathFinder
 from pathlib import Path
 
 from cfgplan.errors import Fault, InputError, did_you_mean
+from cfgplan.file_content import content_of
 from cfgplan.ros.sources import NodeSource
 from cfgplan.summary import some
 from cfgplan.transformations import Transformation
@@ -169,7 +170,7 @@ def _read(path: Path, stamp: tuple[int, int] | None) -> _Module:
 @lru_cache(maxsize=512)
 def _parsed(path: Path, stamp: tuple[int, int] | None) -> _Module | Fault:  # noqa: ARG001
     try:
-        data = path.read_bytes()
+        data = content_of(path)
         tree = ast.parse(data, str(path))
     except SyntaxError as error:
         return Fault(f"{type(error).__name__}: {error.msg}", str(path), error.lineno, error.offset, mend="correct it")

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from cfgplan.errors import InputError, did_you_mean
+from cfgplan.file_content import content_of
 
 
 def check_names(protocol: str, known: Iterable[str], given: Mapping[str, object]) -> None:
@@ -32,6 +33,6 @@ def read_password(variable: str | None, file: str | None) -> str | None:
     if file is None:
         return None
     try:
-        return Path(file).read_text(encoding="utf-8").strip()
+        return content_of(Path(file)).decode().strip()
     except (OSError, UnicodeDecodeError) as error:
         raise InputError.of(f"the password can't be read: {error}", file=file) from None

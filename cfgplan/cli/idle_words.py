@@ -1,0 +1,250 @@
+"""Words of an environment file that have no effect, so that the user learns of each."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass
+from itertools import combinations_with_replacement
+from typing import TYPE_CHECKING, Any, get_args
+
+from cfgplan.domain import CPU, MEMORY, POWER, Environment, Link, Objective, RunOptions, Transformation
+from cfgplan.errors import Fault
+from cfgplan.facts import requirement
+from cfgplan.formats.environment_file import ANY_IMPORT
+from cfgplan.onward import grouped
+from cfgplan.qualities import Better, Over
+from cfgplan.ros.sources import NodeKind
+from cfgplan.rows import ALL
+from cfgplan.summary import some
+
+if TYPE_CHECKING:
+    from cfgplan.api import World
+    from cfgplan.formats.places import Passage
+
+_NO_HOSTS = "no hosts are declared"
+_USUAL = RunOptions()
+_RESOURCES = (("cpu", CPU, "upkeep"), ("memory", MEMORY, "memory"), ("energy", POWER, "needs: {power: ...}"))
+"""The limits of hosts, with the resource and the key by which transformations say that they take it."""
+_PYTHON, _PROGRAM = "python", "program"
+
+
+@dataclass(frozen=True, slots=True)
+class _Idle:
+    """The word at `path` in the part of this `kind` and `name`, and `why` it has no effect."""
+
+    kind: str
+    name: str
+    path: tuple[str, ...]
+    why: str
+
+
+def idle_words(world: World) -> Iterator[Fault]:
+    """Yield a fault for each key with words that have no effect, at the place of the first, with the reason.
+
+    These words are not listed: one that describes (`unit`, `kind`), one that another command or option uses (`standby`
+    by `--survive`), one that says what would be so without it, and one of an included library that another environment
+    uses.
+    """
+    file, environment = world.file, world.environment
+    if file is None:
+        return
+    found = [*_in_library(world), *_in_fleet(environment), *_in_targets(environment)]
+    found += [*_in_head(world)]
+    for (key, why), idle in grouped(((".".join(_key(each)), each.why), each) for each in found).items():
+        names = some(dict.fromkeys(each.name for each in idle if each.name))
+        text = f"`{key}`{f' of {names}' if names else ''} has no effect: {why}"
+        origin = file.origins.get((idle[0].kind, idle[0].name))
+        if origin is None:
+            yield Fault(text, str(file.path))
+        else:
+            place = origin.at(*idle[0].path)
+            yield place.source.fault(place.path, text, at_key=True)
+
+
+def _key(word: _Idle) -> Iterable[str]:
+    """The keys that lead to a word, without names of ports and quality attributes."""
+    return [each for at, each in enumerate(word.path) if at % 2 == 0 or word.path[0] not in ("inputs", "outputs")]
+
+
+def _in_library(world: World) -> Iterator[_Idle]:
+    environment, file = world.environment, world.file
+    assert file is not None
+    limited = {each for each in (MEMORY, POWER) for host in environment.hosts if host.room(each, 1) is not None}
+    for each in environment.library:
+        origin = file.origins[("transformation", each.label)]
+        found = [*_of_run(each), *_of_ports(each)]
+        if origin.source.file == str(file.path):
+            found += _unlimited(each, limited if environment.hosts else None)
+            found += [] if environment.qualities else _ungraded(origin)
+        yield from (_Idle("transformation", each.label, path, why) for path, why in found)
+
+
+def runs_as(source: str | None) -> str | None:
+    """How a transformation's code runs: as a program, a kind of ROS node, or in Python; None without code."""
+    scheme, _, rest = (source or "").partition(":")
+    if scheme == _PROGRAM or (scheme in get_args(NodeKind) and "/" in rest):
+        return scheme
+    return _PYTHON if source else None
+
+
+_Word = tuple[tuple[str, ...], str]
+
+
+def _of_run(t: Transformation) -> Iterator[_Word]:
+    run, kind = t.run, runs_as(t.source)
+    starting = [port for port in t.inputs if not (port.service or port.optional)]
+    is_node = kind in get_args(NodeKind)
+    if not t.inputs:
+        for key, value in (("start", run.start), ("queue", run.queue), ("blocks", run.blocks)):
+            if value != getattr(_USUAL, key):
+                yield ("run", "when_full" if key == "blocks" else key), "a source has no inputs"
+    elif run.start == "aligned" and sum(2 if port.count == ALL else port.count for port in starting) < 2:
+        yield ("run", "start"), "`aligned` needs two streams that start steps"
+    if run.tolerance_us and run.start != "aligned":
+        yield ("run", "tolerance"), "it belongs to `start: aligned`"
+    if is_node and t.inputs and run.blocks:
+        yield ("run", "when_full"), "ROS nodes have queues of their own"
+    if is_node and run.start == "aligned":
+        yield ("run", "start"), "ROS nodes align messages by their own code"
+    if run.format != _USUAL.format and kind not in (_PROGRAM, None):
+        yield ("run", "format"), "only programs exchange messages in it"
+    if run.lifecycle and kind not in ("node", "component", None):
+        yield ("run", "lifecycle"), "only ROS 2 nodes and components have one"
+    if run.container != _USUAL.container and kind not in ("component", None):
+        yield ("run", "container"), "only ROS 2 components are in one"
+    if run.state and kind not in (_PYTHON, None):
+        yield ("run", "state"), "only Python code keeps it"
+
+
+def _of_ports(t: Transformation) -> Iterator[_Word]:
+    is_own = runs_as(t.source) in (_PYTHON, _PROGRAM)
+    for key, ports in (("inputs", t.inputs), ("outputs", t.outputs)):
+        for port in ports:
+            if port.remap is not None and is_own:
+                yield (key, port.name, "remap"), "only ROS nodes have names of their own for ports"
+    for port in t.inputs:
+        group = [each for each in t.inputs if each.distinct == port.distinct]
+        if port.distinct is not None and sum(2 if each.count == ALL else each.count for each in group) < 2:
+            yield ("inputs", port.name, "distinct"), "no other input is in its group"
+    for port in t.outputs:
+        if port.topic is not None and is_own:
+            yield ("outputs", port.name, "topic"), "only ROS 2 nodes publish outside of a run; add a target"
+        for key, said, other in (("rate", port.rate_uhz, "size"), ("size", port.size_bytes, "rate")):
+            if said and not port.bytes_per_s:
+                yield ("outputs", port.name, key), f"without `{other}` it costs nothing to send the stream to hosts"
+        combined = sum(2 if each.count == ALL else each.count for each in t.inputs if not each.feedback)
+        for stated in port.quality:
+            if stated.over is not Over.WORST and combined < 2:
+                yield ("outputs", port.name, "quality", stated.attribute, "of"), "there are no values of several inputs"
+
+
+def _unlimited(t: Transformation, limited: Collection[str] | None) -> Iterator[_Word]:
+    """What a transformation says of hosts and takes on them; they have the `limited` resources, None without hosts."""
+    for key, value in (("on", t.on), ("at_most", t.at_most), ("memory", t.memory_mb), ("needs", t.needs)):
+        if value and limited is None:
+            yield (key,), _NO_HOSTS
+    for path, resource, by in ((("memory",), MEMORY, "memory"), (("needs", POWER), POWER, "energy")):
+        said = t.memory_mb if resource == MEMORY else t.needs.get(resource)
+        if said and limited is not None and resource not in limited:
+            yield path, f"no host has `{by}`"
+
+
+def _ungraded(origin: Passage) -> Iterator[_Word]:
+    """The qualities of outputs where no attribute is declared: readers leave them out."""
+    data: Any = origin.source.data
+    for step in origin.path:
+        data = data[step]
+    for port, said in (data.get("outputs") or {}).items():
+        if isinstance(said, dict) and said.get("quality"):
+            yield ("outputs", port, "quality"), "no attribute is declared under `qualities:`"
+
+
+def _in_fleet(environment: Environment) -> Iterator[_Idle]:
+    hosts, links, library = environment.hosts, environment.links, environment.library
+    texts = {text for t in library for text in (*t.at_most, t.on or "")} | {
+        end for link in links for end in link.between
+    }
+    selectors, taken = "\n".join(texts), {each for t in library for each, amount in t.takes.items() if amount}
+    needed = {each for t in library for each in t.needs} | {POWER}
+    for host in hosts:
+        for key, resource, by in _RESOURCES:
+            if host.room(resource, 1) is not None and resource not in taken:
+                yield _Idle("host", host.name, (key,), f"no transformation has `{by}`")
+        for resource in sorted(host.offers.keys() - needed):
+            yield _Idle("host", host.name, ("offers", resource), "no transformation needs it")
+        for label in host.labels:
+            if not host.name.startswith(f"{label}.") and label not in selectors:
+                yield _Idle("host", host.name, ("labels",), f"no selector names {label}")
+    pairs = _linked(environment)
+    is_carried = any(port.bytes_per_s for t in library for port in t.outputs)
+    for number, link in enumerate(links, start=1):
+        name = f"link {number}"
+        if link not in pairs and all(any(host.fits(end) for host in hosts) for end in link.between):
+            yield _Idle("link", name, ("between",), "each two hosts that it joins have an earlier link, or are one")
+        for key, value in (("bandwidth", link.bandwidth), ("price", link.price_us)):
+            if value is not None and not is_carried:
+                yield _Idle("link", name, (key,), "no output has both `rate` and `size`")
+    if environment.transfer_us and not (is_carried and any(k is None or k.price_us is None for k in pairs)):
+        why = "no output has both `rate` and `size`" if hosts else _NO_HOSTS
+        yield _Idle("", "", ("transfer",), why if not (is_carried and hosts) else "each two hosts have a link's price")
+    for objective in environment.minimise:
+        if (objective is Objective.HOSTS and not hosts) or (
+            objective is Objective.RENT and not any(host.rent_us for host in hosts)
+        ):
+            yield _Idle(
+                "", "", ("minimise",), f"no {'host is' if objective is Objective.HOSTS else 'rent is'} declared"
+            )
+
+
+def _linked(environment: Environment) -> set[Link | None]:
+    """The links that two hosts use, the first that joins them; None if some hosts have none."""
+    ends = {text for link in environment.links for text in link.between}
+    kinds = Counter(frozenset(text for text in ends if host.fits(text)) for host in environment.hosts)
+    found = set[Link | None]()
+    for one, other in combinations_with_replacement(kinds, 2):
+        if one != other or kinds[one] > 1:
+            joins = (
+                each
+                for each in environment.links
+                if (each.between[0] in one and each.between[1] in other)
+                or (each.between[1] in one and each.between[0] in other)
+            )
+            found.add(next(joins, None))
+    return found
+
+
+def _in_targets(environment: Environment) -> Iterator[_Idle]:
+    for target in environment.targets:
+        for wish in target.quality:
+            attribute = environment.quality[wish.attribute]
+            if wish.bound is not None and not attribute.is_better(wish.bound, attribute.worst):
+                key = "at_most" if attribute.better is Better.LOWER else "at_least"
+                why = f"{attribute.name} is never worse than {attribute.shown(attribute.worst)}"
+                yield _Idle("target", target.label, ("quality", wish.attribute, key), why)
+    ports = [port for t in environment.library for port in t.outputs]
+    named = {each.attribute for port in ports for each in port.quality} | {link.adds for link in environment.links}
+    named |= {wish.attribute for target in environment.targets for wish in target.quality}
+    for name in environment.quality.keys() - named:
+        yield _Idle("quality", name, ("name",), "no output, target or link has it")
+    followed = {each.by.fact for port in ports for each in port.quality if each.by is not None}
+    for t in environment.library:
+        followed |= {each.fact for each in requirement(t.requires).comparisons} if t.requires is not None else set()
+    for fact in environment.facts:
+        if fact.name not in followed and fact.by is None and fact.topic is None:
+            yield _Idle(
+                "fact", fact.name, ("declared",), "no `requires` and no quality uses it, and nothing observes it"
+            )
+
+
+def _in_head(world: World) -> Iterator[_Idle]:
+    file, ontology = world.file, world.ontology
+    assert file is not None
+    for iri, path in file.imports:
+        is_used = iri in (ANY_IMPORT, *ontology.ignored) if path is None else path.resolve() in {*ontology.files}
+        if not (file.ontology_paths and is_used):
+            yield _Idle(
+                "", "", ("imports", iri or "ignore"), "no ontology imports it" if iri else "no ontology is named"
+            )
+    if file.ignores_rules and not ontology.ignored_rules:
+        yield _Idle("", "", ("rules",), "the ontologies have no rules")
