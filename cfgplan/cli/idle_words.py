@@ -42,9 +42,9 @@ class _Idle:
 def idle_words(world: World) -> Iterator[Fault]:
     """Yield a fault for each key with words that have no effect, at the place of the first, with the reason.
 
-    These words are not listed: one that describes (`unit`, `kind`), one that another command or option uses (`standby`
-    by `--survive`), one that says what would be so without it, and one of an included library that another environment
-    uses.
+    These words are not listed: one that describes (`unit`, `kind`, `labels` and `offers` of hosts), one that another
+    command or option uses (`standby` by `--survive`), one that says what would be so without it, and one of an included
+    library that another environment uses.
     """
     file, environment = world.file, world.environment
     if file is None:
@@ -162,20 +162,11 @@ def _ungraded(origin: Passage) -> Iterator[_Word]:
 
 def _in_fleet(environment: Environment) -> Iterator[_Idle]:
     hosts, links, library = environment.hosts, environment.links, environment.library
-    texts = {text for t in library for text in (*t.at_most, t.on or "")} | {
-        end for link in links for end in link.between
-    }
-    selectors, taken = "\n".join(texts), {each for t in library for each, amount in t.takes.items() if amount}
-    needed = {each for t in library for each in t.needs} | {POWER}
+    taken = {each for t in library for each, amount in t.takes.items() if amount}
     for host in hosts:
         for key, resource, by in _RESOURCES:
             if host.room(resource, 1) is not None and resource not in taken:
                 yield _Idle("host", host.name, (key,), f"no transformation has `{by}`")
-        for resource in sorted(host.offers.keys() - needed):
-            yield _Idle("host", host.name, ("offers", resource), "no transformation needs it")
-        for label in host.labels:
-            if not host.name.startswith(f"{label}.") and label not in selectors:
-                yield _Idle("host", host.name, ("labels",), f"no selector names {label}")
     pairs = _linked(environment)
     is_carried = any(port.bytes_per_s for t in library for port in t.outputs)
     for number, link in enumerate(links, start=1):
