@@ -81,6 +81,7 @@ class Begin:
         "What a bounded resource or quality is priced at, in turn, until a plan keeps its bounds.",
         FLEETS,
     )
+    placing: float = row(60.0, "steps", "The work to place a transformation on a host.", "`limits.py`")
 
 
 @dataclass(frozen=True)

@@ -85,10 +85,12 @@ class FirstPlans:
         return found
 
     def _offer_placed(self) -> None:
-        """Offer a plan that pays for what it carries from host to host, unless that costs nothing."""
-        candidates, environment = self.candidates, self.candidates.environment
-        if len(environment.hosts) > 1 and any(environment.prices_us):
-            host_of = PlacedNetwork(candidates).cheap_plan(self.state.clock.tuning.begin.attempts)
+        """Offer a plan that pays for what it carries from host to host, unless that costs nothing or takes too long."""
+        candidates, environment, clock = self.candidates, self.candidates.environment, self.state.clock
+        places = sum(len(candidate.places) for candidate in candidates.all)
+        is_paid = len(environment.hosts) > 1 and any(environment.prices_us)
+        if is_paid and clock.has_steps(clock.tuning.begin.placing * places):
+            host_of = PlacedNetwork(candidates).cheap_plan(clock.tuning.begin.attempts)
             labels = {candidates.all[i].transformation.label for i in host_of}
             self.offer(self.units_of(self._with_companions(labels, self._run_us + 1)).union(host_of), host_of)
 
