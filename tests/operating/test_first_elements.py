@@ -163,6 +163,7 @@ def test_a_topic_that_closes_and_opens_again_is_followed_from_its_first_element(
             eventually(lambda n=n: heard == [*range(n + 1)])  # type: ignore[misc]
             is_asked.clear()
             runtime.apply(ChangeSet(stopped=(one.id,)))
+        is_asked.set()
         following.close()
 
 
