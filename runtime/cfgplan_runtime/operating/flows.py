@@ -155,7 +155,8 @@ class Following:
 
     def _tell_missed(self, topic: str, number: int) -> None:
         one, many = f"the first element on {topic} is", f"the first {number} elements on {topic} are"
-        self._tell(f"{one if number == 1 else many} not {self._done}: it was not connected in the time of the update")
+        told = one if number == 1 else many
+        self._tell(f"{told} not {self._done}: the update did not wait longer for the connection to the topic")
 
     def _leave(self, topic: str) -> None:
         watch = self._watches.pop(topic)
