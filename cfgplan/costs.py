@@ -45,10 +45,15 @@ def guessed_s(text: str) -> Decimal | None:
     return Decimal(found[1].replace(",", ".")) * _MEANT_SECONDS[short]
 
 
+def is_negative(text: str) -> bool:
+    """Whether a text means a number below 0, perhaps with a unit."""
+    return re.match(r"\s*-\s*\.?\d", text) is not None
+
+
 def horizon_s(text: str) -> int:
     """A horizon in whole seconds: 60, 60s, 10m or 1h; raises InvalidValueError for anything else."""
     seconds = Decimal(text) if text.isdecimal() else span_s(text)
-    if re.match(r"\s*-\s*\.?\d", text):
+    if is_negative(text):
         raise InvalidValueError(f"{text!r} is negative: write whole seconds of 0 or more, or 30s, 10m or 1h")
     if seconds is None or seconds != int(seconds):
         raise InvalidValueError(f"{text!r} is not a horizon: write whole seconds, or 30s, 10m or 1h")

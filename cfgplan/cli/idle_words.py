@@ -20,11 +20,16 @@ from cfgplan.summary import some
 
 if TYPE_CHECKING:
     from cfgplan.api import World
+    from cfgplan.formats.environment_file import EnvironmentFile
     from cfgplan.formats.places import Passage
 
 _NO_HOSTS = "no hosts are declared"
 _USUAL = RunOptions()
-_RESOURCES = (("cpu", CPU, "upkeep"), ("memory", MEMORY, "memory"), ("energy", POWER, "needs: {power: ...}"))
+_RESOURCES = (
+    ("cpu", CPU, "upkeep` or `source"),
+    ("memory", MEMORY, "memory"),
+    ("energy", POWER, "needs: {power: ...}"),
+)
 """The limits of hosts, with the resource and the key by which transformations say that they take it."""
 _PYTHON, _PROGRAM = "python", "program"
 
@@ -40,17 +45,22 @@ class _Idle:
 
 
 def idle_words(world: World) -> Iterator[Fault]:
-    """Yield a fault for each key with words that have no effect, at the place of the first, with the reason.
+    """Yield a fault for each key with words that have no effect, at the first of them, with the reason. The faults come
+    in the order of their places.
 
     These words are not listed: one that describes (`unit`, `kind`, `labels` and `offers` of hosts), one that another
-    command or option uses (`standby` by `--survive`), one that says what would be so without it, and one of an included
-    library that another environment uses.
+    command or option uses (`standby` by `--survive`), one that states the default, and one of an included library that
+    another environment uses.
     """
     file, environment = world.file, world.environment
     if file is None:
         return
     found = [*_in_library(world), *_in_fleet(environment), *_in_targets(environment)]
     found += [*_in_head(world)]
+    yield from sorted(_faults(found, file), key=lambda each: (each.file or "", each.line or 0, each.column or 0))
+
+
+def _faults(found: Iterable[_Idle], file: EnvironmentFile) -> Iterator[Fault]:
     for (key, why), idle in grouped(((".".join(_key(each)), each.why), each) for each in found).items():
         names = some(dict.fromkeys(each.name for each in idle if each.name))
         text = f"`{key}`{f' of {names}' if names else ''} has no effect: {why}"
@@ -63,7 +73,7 @@ def idle_words(world: World) -> Iterator[Fault]:
 
 
 def _key(word: _Idle) -> Iterable[str]:
-    """The keys that lead to a word, without names of ports and quality attributes."""
+    """The keys that lead to a word, without the names of ports and of outputs' quality attributes."""
     return [each for at, each in enumerate(word.path) if at % 2 == 0 or word.path[0] not in ("inputs", "outputs")]
 
 
@@ -102,7 +112,7 @@ def _of_run(t: Transformation) -> Iterator[_Word]:
     elif run.start == "aligned" and sum(2 if port.count == ALL else port.count for port in starting) < 2:
         yield ("run", "start"), "`aligned` needs two streams that start steps"
     if run.tolerance_us and run.start != "aligned":
-        yield ("run", "tolerance"), "it belongs to `start: aligned`"
+        yield ("run", "tolerance"), "it needs `start: aligned`"
     if is_node and t.inputs and run.blocks:
         yield ("run", "when_full"), "ROS nodes have queues of their own"
     if is_node and run.start == "aligned":
@@ -132,15 +142,15 @@ def _of_ports(t: Transformation) -> Iterator[_Word]:
             yield ("outputs", port.name, "topic"), "only ROS 2 nodes publish outside of a run; add a target"
         for key, said, other in (("rate", port.rate_uhz, "size"), ("size", port.size_bytes, "rate")):
             if said and not port.bytes_per_s:
-                yield ("outputs", port.name, key), f"without `{other}` it costs nothing to send the stream to hosts"
+                yield ("outputs", port.name, key), f"without `{other}`, sending the stream to other hosts costs nothing"
         combined = sum(2 if each.count == ALL else each.count for each in t.inputs if not each.feedback)
         for stated in port.quality:
             if stated.over is not Over.WORST and combined < 2:
-                yield ("outputs", port.name, "quality", stated.attribute, "of"), "there are no values of several inputs"
+                yield ("outputs", port.name, "quality", stated.attribute, "of"), "no two inputs have values to combine"
 
 
 def _unlimited(t: Transformation, limited: Collection[str] | None) -> Iterator[_Word]:
-    """What a transformation says of hosts and takes on them; they have the `limited` resources, None without hosts."""
+    """Yield the idle words of a transformation about hosts. Hosts limit the `limited` resources; None: no hosts."""
     for key, value in (("on", t.on), ("at_most", t.at_most), ("memory", t.memory_mb), ("needs", t.needs)):
         if value and limited is None:
             yield (key,), _NO_HOSTS
@@ -151,7 +161,7 @@ def _unlimited(t: Transformation, limited: Collection[str] | None) -> Iterator[_
 
 
 def _ungraded(origin: Passage) -> Iterator[_Word]:
-    """The qualities of outputs where no attribute is declared: readers leave them out."""
+    """Yield the qualities of outputs if no attribute is declared: the environment then has none of them."""
     data: Any = origin.source.data
     for step in origin.path:
         data = data[step]
@@ -163,6 +173,7 @@ def _ungraded(origin: Passage) -> Iterator[_Word]:
 def _in_fleet(environment: Environment) -> Iterator[_Idle]:
     hosts, links, library = environment.hosts, environment.links, environment.library
     taken = {each for t in library for each, amount in t.takes.items() if amount}
+    taken |= {CPU for t in library if t.source}  # a run measures how much its units take
     for host in hosts:
         for key, resource, by in _RESOURCES:
             if host.room(resource, 1) is not None and resource not in taken:
@@ -172,7 +183,7 @@ def _in_fleet(environment: Environment) -> Iterator[_Idle]:
     for number, link in enumerate(links, start=1):
         name = f"link {number}"
         if link not in pairs and all(any(host.fits(end) for host in hosts) for end in link.between):
-            yield _Idle("link", name, ("between",), "each two hosts that it joins have an earlier link, or are one")
+            yield _Idle("link", name, ("between",), "earlier links join its hosts, or it joins one host to itself")
         for key, value in (("bandwidth", link.bandwidth), ("price", link.price_us)):
             if value is not None and not is_carried:
                 yield _Idle("link", name, (key,), "no output has both `rate` and `size`")
@@ -180,16 +191,14 @@ def _in_fleet(environment: Environment) -> Iterator[_Idle]:
         why = "no output has both `rate` and `size`" if hosts else _NO_HOSTS
         yield _Idle("", "", ("transfer",), why if not (is_carried and hosts) else "each two hosts have a link's price")
     for objective in environment.minimise:
-        if (objective is Objective.HOSTS and not hosts) or (
-            objective is Objective.RENT and not any(host.rent_us for host in hosts)
-        ):
-            yield _Idle(
-                "", "", ("minimise",), f"no {'host is' if objective is Objective.HOSTS else 'rent is'} declared"
-            )
+        if objective is Objective.HOSTS and not hosts:
+            yield _Idle("", "", ("minimise", objective.value), _NO_HOSTS)
+        if objective is Objective.RENT and not any(host.rent_us for host in hosts):
+            yield _Idle("", "", ("minimise", objective.value), "no host has `rent`")
 
 
 def _linked(environment: Environment) -> set[Link | None]:
-    """The links that two hosts use, the first that joins them; None if some hosts have none."""
+    """The links that pairs of hosts use: of each pair the first that joins it, or None if no link does."""
     ends = {text for link in environment.links for text in link.between}
     kinds = Counter(frozenset(text for text in ends if host.fits(text)) for host in environment.hosts)
     found = set[Link | None]()
@@ -234,8 +243,7 @@ def _in_head(world: World) -> Iterator[_Idle]:
     for iri, path in file.imports:
         is_used = iri in (ANY_IMPORT, *ontology.ignored) if path is None else path.resolve() in {*ontology.files}
         if not (file.ontology_paths and is_used):
-            yield _Idle(
-                "", "", ("imports", iri or "ignore"), "no ontology imports it" if iri else "no ontology is named"
-            )
+            keys = ("imports", iri) if iri else ("imports",)
+            yield _Idle("", "", keys, "no ontology imports it" if iri else "no ontology is named")
     if file.ignores_rules and not ontology.ignored_rules:
         yield _Idle("", "", ("rules",), "the ontologies have no rules")

@@ -356,24 +356,19 @@ def cost(text: str) -> int:
 
 
 def _decimal(text: str, allowed: str = "a number of 0 or more, such as 10", *, guesses: bool = True) -> Decimal:
-    """The number that a text is. Errors say what is `allowed`; if it `guesses`, they say the number that was meant."""
+    """Return the number of a text. Errors name the `allowed` numbers; if it `guesses`, the number that was meant."""
     try:
         value = Decimal(text)
     except InvalidOperation:
-        from cfgplan.costs import guessed_s
+        from cfgplan.costs import guessed_s, is_negative
 
         meant = guessed_s(text) if guesses else None
         such = allowed if meant is None else f"a plain one, {meant.normalize():f}"
-        what = "negative" if _is_negative(text) else "not a number"
+        what = "negative" if is_negative(text) else "not a number"
         raise argparse.ArgumentTypeError(f"{text!r} is {what}: write {such}") from None
     if not value.is_finite():
         raise argparse.ArgumentTypeError(f"{text!r} is not a finite number: write {allowed}")
     return _not_too_large(text, value)
-
-
-def _is_negative(text: str) -> bool:
-    """Whether a text means a number below 0, perhaps with a unit."""
-    return re.match(r"\s*-\s*\.?\d", text) is not None
 
 
 def _not_too_large(text: str, value: Decimal) -> Decimal:
@@ -461,10 +456,10 @@ def write_plots(
 
 def duration(text: str) -> float:
     """Seconds of `30s`, `1.5m`, `200ms`, `2h` or plain `30`."""
-    from cfgplan.costs import guessed_s, span_s
+    from cfgplan.costs import guessed_s, is_negative, span_s
 
     seconds = Decimal(text) if re.fullmatch(r"\d+(\.\d+)?", text) else span_s(text)
-    if seconds is None and _is_negative(text):
+    if seconds is None and is_negative(text):
         raise argparse.ArgumentTypeError(f"{text!r} is negative: write 0 or more, such as 30s, 5m or 1h")
     if seconds is None:
         meant = None if "%" in text else guessed_s(text)

@@ -40,12 +40,13 @@ class FleetReader:
         self.links: tuple[Link, ...] = ()
         self.facts: dict[str, Fact] = {}
         self.origins: dict[tuple[str, str], Passage] = {}
-        """The places of hosts, quality attributes and facts by kind and name, and of links by number."""
+        """The places of hosts, quality attributes and facts by kind and name, of links by number, and of the header."""
         header = document.header
         main = Passage(document.files[0].source, (), faults) if document.files else None
         if main is None:  # a folder of the paper's XML has no header
             self.survive = None
             return
+        self.origins["", ""] = main
         for index, host in enumerate(header.hosts or ()):
             entry = main.at("hosts", index)
             names, known = _names_of(host), {*self.hosts, *self.copies}

@@ -55,6 +55,7 @@ _KINDS_OF_VALUE = {
     "model_type": "a mapping of keys to values",
     "model_attributes_type": "a mapping of keys to values",
     "cost_type": "a number of CPU seconds",
+    "time_type": "a number of seconds",
     "number_type": "a number",
 }
 

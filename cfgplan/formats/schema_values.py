@@ -79,7 +79,7 @@ def _cost(value: object) -> int:
 
 
 def _seconds(value: object) -> int:
-    return _microseconds(_number(value, "a time is a number of seconds"))
+    return _microseconds(_number(value, "a time is a number of seconds", "time_type"))
 
 
 def _silence(value: object) -> int:

@@ -118,6 +118,22 @@ def test_solve_check_and_run_warn_at_the_place_of_the_word(run: Run, tmp_path: P
         assert "env.yaml:4:38: transformations[0].run.queue: `run.queue` of a has no effect" in err
 
 
+def test_warnings_are_in_the_order_of_the_file_and_name_the_place_of_each_word(run: Run, tmp_path: Path) -> None:
+    text = """
+transfer: 1
+- {label: b, run: {queue: 1}, outputs: {p: Y}}
+- {label: a, run: {tolerance: 1}, inputs: {i: Y}, outputs: {o: X}}
+"""
+    err = run("check", written(text, tmp_path)).err
+    places = [line.split()[1] for line in err.splitlines() if line.startswith("warning: ")]
+    assert [each.partition("env.yaml")[2] for each in places] == [":3:1:", ":6:20:", ":7:20:"]
+
+
+def test_a_run_measures_what_units_take_of_a_limited_host(tmp_path: Path) -> None:
+    path = written("hosts: [{name: h, cpu: 1}]\n- {label: a, source: 'x.py:X', outputs: {o: X}}\n", tmp_path)
+    assert not warnings(path)
+
+
 def test_a_library_may_say_more_than_an_environment_that_includes_it_wants(run: Run, tmp_path: Path) -> None:
     path = written("include: library.yaml\n", tmp_path)
     (tmp_path / "library.yaml").write_text(

@@ -163,7 +163,7 @@ def test_a_topic_that_closes_and_opens_again_is_followed_from_its_first_element(
             eventually(lambda n=n: heard == [*range(n + 1)])  # type: ignore[misc]
             is_asked.clear()
             runtime.apply(ChangeSet(stopped=(one.id,)))
-        is_asked.set()
+        is_asked.set()  # otherwise the thread of the topic outlives the test
         following.close()
 
 
@@ -181,9 +181,10 @@ def test_elements_before_a_follower_that_an_update_did_not_await_are_counted(
     with operated(tmp_path, FIRST, record=tmp_path / "run.mcap") as operation:
         eventually(lambda: operation.flows.now().get("/first", Flow()).elements == 1)
         is_late.set()
-        told = "the first element on /first is not {}: it was not connected in the time of the update"
+        why = "the update did not wait longer for the connection to the topic"
         for done in ("recorded", "observed"):
-            eventually(lambda done=done: told.format(done) in news(operation, warnings))  # type: ignore[misc]
+            told = f"the first element on /first is not {done}: {why}"
+            eventually(lambda told=told: told in news(operation, warnings))  # type: ignore[misc]
         assert operation.dropped == 1
 
 

@@ -60,8 +60,8 @@ class FirstPlans:
     def _price(self) -> Floats | None:
         """Prices at which a first plan was found; None if none was.
 
-        If these are the first plans of all, one that pays for what it carries is offered last: to replan takes less
-        time than to look for that.
+        If no plan was known before, a plan that pays for streams between hosts is offered last. Replans do without it,
+        because it takes longer than a replan.
 
         Prices are costs, plus more and more for each `_burden`. Where quality has a price, those with the best plan are
         returned.
@@ -85,7 +85,7 @@ class FirstPlans:
         return found
 
     def _offer_placed(self) -> None:
-        """Offer a plan that pays for what it carries from host to host, unless that costs nothing or takes too long."""
+        """Offer a plan that pays for the streams between hosts, unless they cost nothing or that takes too long."""
         candidates, environment, clock = self.candidates, self.candidates.environment, self.state.clock
         places = sum(len(candidate.places) for candidate in candidates.all)
         is_paid = len(environment.hosts) > 1 and any(environment.prices_us)

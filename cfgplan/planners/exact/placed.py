@@ -1,7 +1,7 @@
-"""Units on hosts, and streams carried to hosts, as labels of one core: its plans pay for what they carry.
+"""Units on hosts, and streams carried to hosts, as labels of one core: its plans pay for streams between hosts.
 
 A unit needs its inputs on its host, and gives its streams there. A carried stream needs the stream where it is made,
-and gives it on another host. Each is paid once, whoever takes the stream there. The core leaves out the room on hosts,
+and gives it on another host; it is paid once, however many units take it there. The core leaves out the room on hosts,
 distinct and feedback inputs, and the qualities of streams.
 """
 
@@ -21,7 +21,7 @@ from cfgplan.planners.solving.arrays import np
 class PlacedNetwork(Choosable):
     """The core of the candidates on their hosts; the first labels are the `units`, each a candidate and its host.
 
-    New candidates that are alike are one label on each host.
+    The new candidates of a transformation are one label on each host.
     """
 
     def __init__(self, candidates: Candidates) -> None:
@@ -34,7 +34,7 @@ class PlacedNetwork(Choosable):
         self._cost_us: list[int] = []
         self._fact_of_tag = candidates.network.fact_of_tag
         self._met = self._facts_met()
-        for index in candidates.clock.each(i for label in candidates.network.labels for i in self._unlike(label)):
+        for index in candidates.clock.each(i for label in candidates.network.labels for i in self._examples(label)):
             self._add_units(index)
         for index in candidates.clock.each(dict.fromkeys(index for index, _ in self.units)):
             self._add_carried(index)
@@ -67,10 +67,10 @@ class PlacedNetwork(Choosable):
         all_of = self.candidates.all
         for number in sorted(label for label in chosen if label < len(self.units)):
             index, host = self.units[number]
-            alike = [
+            others = [
                 i for i in self.candidates.units_of(all_of[index].transformation.label) if all_of[i].running is None
             ]
-            free = [i for i in (index, *alike) if i not in host_of and host in all_of[i].places]
+            free = [i for i in (index, *others) if i not in host_of and host in all_of[i].places]
             if free:
                 host_of[free[0]] = host
             else:
@@ -85,7 +85,7 @@ class PlacedNetwork(Choosable):
                 met[stream].add((fact,))
         return {stream: sorted(facts) for stream, facts in met.items()}
 
-    def _unlike(self, label: str) -> Iterator[int]:
+    def _examples(self, label: str) -> Iterator[int]:
         """The running candidates of a transformation, and its first new one."""
         may_run = [i for i in self.candidates.units_of(label) if self.candidates.all[i].may_run]
         running = [i for i in may_run if self.candidates.all[i].running is not None]
@@ -106,7 +106,7 @@ class PlacedNetwork(Choosable):
             self._add(needs, gives, place.cost_us)
 
     def _add_carried(self, index: int) -> None:
-        """Add the streams of a candidate, carried to each host: from any other, if that costs the same from all."""
+        """Add each stream of a candidate as carried to each host: one label if it costs the same from all."""
         candidate = self.candidates.all[index]
         streams = [Stream(candidate.id, port.name) for port in candidate.transformation.outputs]
         for stream in (one for one in streams if one in self._met):

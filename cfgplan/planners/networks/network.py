@@ -24,8 +24,8 @@ from cfgplan.reasons import Each, Providers, assign_different
 
 
 class Choosable:
-    """A core whose labels are chosen: `pinned` ones run in every plan, and of `special` ones the core does not say all
-    that they need.
+    """A core from whose labels plans are chosen. `pinned` labels run in every plan; `special` ones have inputs whose
+    needs the core does not fully state.
     """
 
     core: Core
@@ -33,7 +33,7 @@ class Choosable:
     special: frozenset[int] = frozenset()
 
     def special_feeders(self, label: int, total: Sequence[float]) -> list[int]:
-        """Feeders of a special label for the inputs of which the core does not say all, cheap by `total`."""
+        """Return feeders, cheap by `total`, for the inputs of a special label that the core does not fully state."""
         raise NotImplementedError
 
     def special_inputs_are_fed(self, label: int, before: set[int], chosen: set[int]) -> bool:

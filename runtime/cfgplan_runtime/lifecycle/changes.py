@@ -71,7 +71,7 @@ class Restore:
 class ReplaceWorld:
     """Use a new world, from the environment file or another source.
 
-    `code_faults` are those of the code of its transformations; see FaultyCode. None: those that are known still count.
+    `code_faults` are the faults of its transformations' code; see FaultyCode. If None, the known faults still count.
     """
 
     world: World

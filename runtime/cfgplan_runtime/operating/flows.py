@@ -80,8 +80,9 @@ def _later(flow: Flow, since_s: float) -> Flow:
 class Following:
     """Fetches every element of the `wanted` topics of a run and gives it to a listener. Each topic has a thread.
 
-    Updates wait until it is connected to a topic before they connect units to it. If one has waited in vain, `tell` is
-    called with the number of elements that came too early to be `done`, such as recorded. A topic need not exist yet.
+    Updates wait until it is connected to a topic before they connect units to it. If an update has waited in vain,
+    `tell` gets a sentence with the number of missed elements, which are not `done` (such as "recorded"). A topic need
+    not exist yet.
     """
 
     def __init__(
@@ -154,7 +155,8 @@ class Following:
 
     def _tell_missed(self, topic: str, number: int) -> None:
         one, many = f"the first element on {topic} is", f"the first {number} elements on {topic} are"
-        self._tell(f"{one if number == 1 else many} not {self._done}: it was not connected in the time of the update")
+        told = one if number == 1 else many
+        self._tell(f"{told} not {self._done}: the update did not wait longer for the connection to the topic")
 
     def _leave(self, topic: str) -> None:
         watch = self._watches.pop(topic)
@@ -230,7 +232,9 @@ class _Watch:
         self.thread.start()
 
     def is_ready(self) -> bool:
-        """Return at once whether every element comes, or the run does not show the topic; otherwise look for it now."""
+        """Return whether every element comes, or the run does not show the topic. If neither holds, let the thread look
+        for the topic at once.
+        """
         if not self._address.exists:
             return True
         if self._connected is not None and self._connected == self._address.identity:

@@ -100,7 +100,9 @@ class Settings:
     told: Mapping[str, str] = field(default_factory=dict)
     """The faults of code that were shown with this plan, by the label of the transformation."""
     beside: Callable[[Operation], AbstractContextManager[object]] | None = None
-    """Makes what is entered before the first review and left after the last one, such as a publisher of targets."""
+    """Makes a context that is entered before the first review and left after the last one, such as a publisher of
+    targets.
+    """
 
 
 class Operation(Closable):

@@ -170,7 +170,8 @@ def _opened(path: Path) -> Iterator[McapReader]:
     from mcap.reader import make_reader
 
     if path.exists() and not path.is_file():
-        raise InputError.of("this is a folder, a pipe or a device, not a file", file=str(path), mend=_MEND)
+        found = "a folder" if path.is_dir() else "a pipe or a device"
+        raise InputError.of(f"this is {found}, not a file", file=str(path), mend=_MEND)
     try:
         with path.open("rb") as file:
             if file.read(len(_FIRST_BYTES)) != _FIRST_BYTES:

@@ -72,8 +72,8 @@ class Sender:
         return len(self._waiting) + (self._rest is not None)
 
     def tell_place(self, last: Moment, before: int) -> None:
-        """Tell the receiver, before any element, which one was the last that it does not get, and how many there were
-        `before`.
+        """Tell the receiver, before any element, which element is the last that it does not get, and how many there
+        were `before`.
         """
         time_ns, turn = last
         head = HEADER.pack(PLACE_MARK, 0, max(turn, 0), before, time_ns)

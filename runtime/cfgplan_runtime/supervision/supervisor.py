@@ -41,9 +41,9 @@ _MOST_REMEMBERED = 1000
 """The number of change sets that are remembered by the ids that their callers gave."""
 
 Follower: TypeAlias = Callable[[Collection[str]], bool]
-"""Begins to follow those of these topics that it wants, and returns at once: whether it gets every element from now on.
+"""Follows the topics that it wants among the given ones, and returns at once whether it gets every element from now on.
 
-As soon as that becomes so, it wakes the backend.
+If it does not yet, it wakes the backend as soon as it does.
 """
 
 
