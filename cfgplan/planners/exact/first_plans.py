@@ -31,16 +31,22 @@ class FirstPlans:
         units = [[c.cost_us for c in candidates.of(label) if c.may_run] for label in labels]
         self._run_us = np.array([min(these, default=np.inf) for these in units], np.float64)
         self._cost = candidates.least_us
+        self._has_looked = False
         self._attribute = _asked(candidates)
         self._is_weighed = any(wish.weight_us for target in candidates.environment.targets for wish in target.quality)
 
     def look(self, attempts: int) -> None:
         """Offer a plan of cheap transformations, then make up to `attempts` more, each without one of the most
         expensive ones.
+
+        If these are the first plans of all, one that pays for what it carries is offered last: it takes longer than all
+        others, so that a short time limit would end before them; to replan takes less time than to look for it.
         """
         candidates, state = self.candidates, self.state
         if len(self.network.targets) < len(candidates.environment.targets):
             return
+        is_first = state.best is None and not self._has_looked
+        self._has_looked = True
         price = self._price
         tried: set[str] = set()
         while price is not None and state.best is not None and len(tried) < attempts:
@@ -55,18 +61,16 @@ class FirstPlans:
             around[candidates.numbers(labels)] = FREE
             around[ahead[0]] = np.inf
             self._offer_supports(around)
+        if is_first and not state.is_at_bound:
+            self._offer_placed()
 
     @cached_property
     def _price(self) -> Floats | None:
         """Prices at which a first plan was found; None if none was.
 
-        If these are the first plans of all, one that pays for what it carries is offered last: to replan takes less
-        time than to look for that.
-
         Prices are costs, plus more and more for each `_burden`. Where quality has a price, those with the best plan are
         returned.
         """
-        is_first = self.state.best is None
         price = self._run_us + 1
         if self.candidates.problem.survive is not None:
             price += np.minimum(self._spare_us, self._run_us)
@@ -80,8 +84,6 @@ class FirstPlans:
                 found = priced
             if self.state.is_at_bound or (found is not None and not self._is_weighed):
                 break
-        if is_first and not self.state.is_at_bound:
-            self._offer_placed()
         return found
 
     def _offer_placed(self) -> None:
