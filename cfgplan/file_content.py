@@ -27,12 +27,16 @@ def content_of(path: Path, most: int = -1) -> bytes:
     Raises OSError (NoWriterError for a pipe to which no program writes within WRITER_WAIT_S), and ValueError for an
     impossible path. A program that has opened the pipe may take any time.
     """
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-    is_pipe = stat.S_ISFIFO(os.fstat(descriptor).st_mode)
-    with os.fdopen(descriptor, "rb") as stream:
-        first = _first_of_pipe(descriptor) if is_pipe else b""
+    with open(path, "rb", opener=_opened_at_once) as stream:
+        descriptor = stream.fileno()
+        first = _first_of_pipe(descriptor) if stat.S_ISFIFO(os.fstat(descriptor).st_mode) else b""
         os.set_blocking(descriptor, True)
         return first + stream.read(most if most < 0 else max(0, most - len(first)))
+
+
+def _opened_at_once(path: str, flags: int) -> int:
+    """Open a file; a pipe too, though no program writes to it."""
+    return os.open(path, flags | os.O_NONBLOCK)
 
 
 def _first_of_pipe(descriptor: int) -> bytes:

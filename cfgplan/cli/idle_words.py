@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from itertools import combinations_with_replacement
 from typing import TYPE_CHECKING, Any, get_args
 
+from cfgplan.cli.plan_text import nothing_wanted
 from cfgplan.domain import CPU, MEMORY, POWER, Environment, Link, Objective, RunOptions, Transformation
 from cfgplan.errors import Fault
 from cfgplan.facts import requirement
@@ -49,8 +50,8 @@ def idle_words(world: World) -> Iterator[Fault]:
     in the order of their places.
 
     These words are not listed: one that describes (`unit`, `kind`, `labels` and `offers` of hosts), one that another
-    command or option uses (`standby` by `--survive`), one that states the default, and one of an included library that
-    another environment uses.
+    command or option uses (`standby` by `--survive`), one that states the default, and one of a library that another
+    environment uses: of an included file, or of a file that wants nothing to run.
     """
     file, environment = world.file, world.environment
     if file is None:
@@ -80,11 +81,12 @@ def _key(word: _Idle) -> Iterable[str]:
 def _in_library(world: World) -> Iterator[_Idle]:
     environment, file = world.environment, world.file
     assert file is not None
+    is_library = bool(nothing_wanted(environment)) and not environment.units
     limited = {each for each in (MEMORY, POWER) for host in environment.hosts if host.room(each, 1) is not None}
     for each in environment.library:
         origin = file.origins[("transformation", each.label)]
         found = [*_of_run(each), *_of_ports(each)]
-        if origin.source.file == str(file.path):
+        if origin.source.file == str(file.path) and not is_library:
             found += _unlimited(each, limited if environment.hosts else None)
             found += [] if environment.qualities else _ungraded(origin)
         yield from (_Idle("transformation", each.label, path, why) for path, why in found)
@@ -188,8 +190,9 @@ def _in_fleet(environment: Environment) -> Iterator[_Idle]:
             if value is not None and not is_carried:
                 yield _Idle("link", name, (key,), "no output has both `rate` and `size`")
     if environment.transfer_us and not (is_carried and any(k is None or k.price_us is None for k in pairs)):
-        why = "no output has both `rate` and `size`" if hosts else _NO_HOSTS
-        yield _Idle("", "", ("transfer",), why if not (is_carried and hosts) else "each two hosts have a link's price")
+        why = "each two hosts have a link's price" if is_carried else "no output has both `rate` and `size`"
+        why = why if len(hosts) > 1 else "only one host is declared" if hosts else _NO_HOSTS
+        yield _Idle("", "", ("transfer",), why)
     for objective in environment.minimise:
         if objective is Objective.HOSTS and not hosts:
             yield _Idle("", "", ("minimise", objective.value), _NO_HOSTS)

@@ -81,7 +81,7 @@ class Begin:
         "What a bounded resource or quality is priced at, in turn, until a plan keeps its bounds.",
         FLEETS,
     )
-    placing: float = row(60.0, "steps", "The work to place a transformation on a host.", "`limits.py`")
+    placing: float = row(30.0, "steps", "The work for a unit on a host, or a carried stream.", "`limits.py`")
 
 
 @dataclass(frozen=True)

@@ -289,7 +289,8 @@ class _Walk:
     def _text_of(self, element: XmlElement, attribute: str, scope: _Scope) -> str | None:
         """The text of a file that an attribute names; None, and a note, if it is not here."""
         try:
-            return content_of(Path(self._needed(element, attribute, scope, missing=True))).decode()
+            text = content_of(Path(self._needed(element, attribute, scope, missing=True))).decode()
+            return text.replace("\r\n", "\n").replace("\r", "\n")  # as roslaunch reads it
         except PackageMissingError as error:
             self._notes.append(f"what {scope.file}:{element.line} loads, since {error}: see ROS_PACKAGE_PATH")
         except (OSError, UnicodeDecodeError) as error:

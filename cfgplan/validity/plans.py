@@ -140,6 +140,8 @@ def _refuted_by_running_units(problem: Problem, plan: Plan) -> Iterator[Violatio
     before, changes = problem.environment, plan.change_set
     if not changes or violations(before, problem.similarity, problem.survive, problem.horizon_s):
         return
+    if _unknown_spares(before):
+        return
     values, more_unused = values_of(problem, before), len(unused_required(before)) - len(plan.unused_required)
     if (
         Feature.ORDER in problem.features
@@ -215,10 +217,14 @@ def _bad_objectives(problem: Problem, plan: Plan, after: Environment) -> Iterato
         yield Violation(Rule.BOUND, "the plan says optimal, but not all that is minimised is proven")
 
 
+def _unknown_spares(environment: Environment) -> list[str]:
+    """The cold spares of transformations that have none, which no plan keeps."""
+    return [unit.id for unit, kind in known_units(environment) if unit.standby and kind.standby_us is None]
+
+
 def _bad_cost(problem: Problem, plan: Plan, after: Environment) -> Iterator[Violation]:
-    for unit, transformation in known_units(after):
-        if unit.standby and transformation.standby_us is None:
-            yield Violation(Rule.COST, f"unit {unit.id} is in standby, which its transformation does not know")
+    for spare in _unknown_spares(after):
+        yield Violation(Rule.COST, f"unit {spare} is in standby, which its transformation does not know")
     cost = cost_us(problem, after)
     if plan.cost_us != cost:
         yield Violation(Rule.COST, f"the update costs {cost} us, but the plan says {plan.cost_us} us")

@@ -229,3 +229,15 @@ def test_a_pipe_is_read_when_its_program_has_written(run: Run, env: Path, monkey
     writer.start()
     assert "1 transformation, 0 running units, 1 target: the file is valid" in run("check", "pipe.yaml").out
     writer.join()
+
+
+def test_a_folder_that_is_read_as_a_file_stays_open_nowhere(tmp_path: Path) -> None:
+    """A run once kept an open descriptor of each look at its file, while a folder was in the file's place."""
+
+    def is_open() -> bool:
+        there = [each for each in Path("/proc/self/fd").iterdir() if each.exists()]
+        return any(each.samefile(tmp_path) for each in there)
+
+    with pytest.raises(IsADirectoryError):
+        file_content.content_of(tmp_path)
+    assert not is_open()

@@ -141,3 +141,13 @@ def test_a_library_may_say_more_than_an_environment_that_includes_it_wants(run: 
     )
     assert not warnings(path)
     assert "no effect" not in run("check", path).err
+
+
+def test_a_library_may_be_checked_alone(tmp_path: Path) -> None:
+    path = written("targets: []\n- {label: a, on: gpu, memory: 5, outputs: {o: {tag: X, quality: {q: 1}}}}\n", tmp_path)
+    assert not warnings(path)
+
+
+def test_the_limit_of_a_processor_counts_where_a_run_measures_upkeep(tmp_path: Path) -> None:
+    path = written("hosts: [{name: h, cpu: 1}]\n- {label: a, source: 'x.py:X', outputs: {o: X}}\n", tmp_path)
+    assert not warnings(path)

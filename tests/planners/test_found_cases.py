@@ -21,7 +21,8 @@ from cfgplan.domain import (
     Target,
     Transformation,
 )
-from cfgplan.planning import Problem, Status
+from cfgplan.planners import PLANNERS
+from cfgplan.planning import Failures, Problem, Status
 from cfgplan.validity import plan_violations
 
 CASES = Path(__file__).parents[3] / "shared" / "cases" / "3" / "planner"
@@ -155,3 +156,16 @@ def test_a_planner_of_ones_own_may_call_a_plan_of_cost_0_feasible(tmp_path: Path
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
     assert done.returncode == 20, done.stderr
     assert "has not proven it optimal" in done.stdout
+
+
+def test_a_running_spare_of_a_transformation_that_has_none_refutes_no_bound() -> None:
+    """No plan may keep it, so that a plan may cost more than what runs."""
+    a = Transformation("a", (), (OutputPort("x", "X"),), labor_us=1, upkeep_us=2)
+    units = (ComputationUnit("a.1", "a", standby=True), ComputationUnit("a.2", "a"))
+    environment = Environment(units, (a,), (Target("an a", run="a"),))
+    problem = Problem(environment, Similarity({}), horizon_s=1, survive=Failures.UNITS)
+    for planner in ("cpsat", "exhaustive"):
+        plan = PLANNERS[planner](problem)
+        assert plan.change_set is not None
+        assert plan.change_set.stopped == ("a.1",)
+        assert plan_violations(problem, plan) == []

@@ -6,6 +6,7 @@ from collections import Counter
 from dataclasses import replace
 from statistics import mean
 
+import pytest
 from fleets import fleets
 from hypothesis import given
 from hypothesis import strategies as st
@@ -13,11 +14,12 @@ from test_fleets_against_the_oracle import some
 
 from cfgplan.domain import Environment, Host, InputPort, Link, OutputPort, Similarity, Target, Transformation
 from cfgplan.planners import PLANNERS
+from cfgplan.planners.exact import first_plans
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.placed import PlacedNetwork
 from cfgplan.planners.exact.solve_state import SolveState
-from cfgplan.planners.solving.clock import Clock
+from cfgplan.planners.solving.clock import Clock, OutOfTimeError
 from cfgplan.planning import Feature, Plan, Problem
 from experiments.study.instances import generated
 
@@ -107,6 +109,22 @@ def test_a_transformation_with_one_new_unit_is_on_one_host() -> None:
     assert set(of_each.values()) == {1}
     cheap = Counter(candidates.all[index].transformation.label for index in network.cheap_plan(30))
     assert set(cheap.values()) == {1}
+
+
+def test_cheap_attempts_come_before_the_plan_that_pays_for_what_it_carries(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A core of all units on all hosts may take longer than a short time limit allows."""
+
+    def is_too_late(_: Candidates) -> None:
+        raise OutOfTimeError
+
+    monkeypatch.setattr(first_plans, "PlacedNetwork", is_too_late)
+    asked, costs_us = generated("fleet", 1, transformations=60, hosts=3).problem, list[int]()
+    for attempts in (0, 30):
+        state = SolveState(asked, Clock(), None)
+        with pytest.raises(OutOfTimeError):
+            FirstPlans(Candidates(asked), state).look(attempts)
+        costs_us.append(state.plan().cost_us or 0)
+    assert costs_us[1] < costs_us[0]
 
 
 def test_first_plans_of_fleets_cost_little_more_than_the_best() -> None:

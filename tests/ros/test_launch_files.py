@@ -302,6 +302,16 @@ def test_a_node_whose_ports_are_known_keeps_them(tmp_path: Path) -> None:
     assert port.remap == "scan"
 
 
+def test_a_text_with_line_ends_of_windows_is_what_roslaunch_makes_of_it(tmp_path: Path) -> None:
+    (tmp_path / "robot.urdf").write_bytes(b"<robot>\r\n</robot>\r\n")
+    file = tmp_path / "file.launch"
+    file.write_text(
+        '<launch><node name="a" pkg="p" type="t"><param name="text" textfile="$(dirname)/robot.urdf"/></node></launch>'
+    )
+    (one,) = launch_graph(file).nodes
+    assert one.parameters == {"text": "<robot>\n</robot>\n"}
+
+
 def test_an_argument_that_is_passed_but_not_declared_is_known_in_the_first_file_only(tmp_path: Path) -> None:
     (tmp_path / "inner.launch").write_text("<launch><node pkg='p' type='t' name='n' args='$(arg bag)'/></launch>")
     file = tmp_path / "play.launch"

@@ -31,16 +31,22 @@ class FirstPlans:
         units = [[c.cost_us for c in candidates.of(label) if c.may_run] for label in labels]
         self._run_us = np.array([min(these, default=np.inf) for these in units], np.float64)
         self._cost = candidates.least_us
+        self._has_looked = False
         self._attribute = _asked(candidates)
         self._is_weighed = any(wish.weight_us for target in candidates.environment.targets for wish in target.quality)
 
     def look(self, attempts: int) -> None:
         """Offer a plan of cheap transformations, then make up to `attempts` more, each without one of the most
         expensive ones.
+
+        If these are the first plans of all, one that pays for what it carries is offered last: it takes longer than all
+        others, so that a short time limit would end before them; to replan takes less time than to look for it.
         """
         candidates, state = self.candidates, self.state
         if len(self.network.targets) < len(candidates.environment.targets):
             return
+        is_first = state.best is None and not self._has_looked
+        self._has_looked = True
         price = self._price
         tried: set[str] = set()
         while price is not None and state.best is not None and len(tried) < attempts:
@@ -55,18 +61,16 @@ class FirstPlans:
             around[candidates.numbers(labels)] = FREE
             around[ahead[0]] = np.inf
             self._offer_supports(around)
+        if is_first and not state.is_at_bound:
+            self._offer_placed()
 
     @cached_property
     def _price(self) -> Floats | None:
         """Prices at which a first plan was found; None if none was.
 
-        If no plan was known before, a plan that pays for streams between hosts is offered last. Replans do without it,
-        because it takes longer than a replan.
-
         Prices are costs, plus more and more for each `_burden`. Where quality has a price, those with the best plan are
         returned.
         """
-        is_first = self.state.best is None
         price = self._run_us + 1
         if self.candidates.problem.survive is not None:
             price += np.minimum(self._spare_us, self._run_us)
@@ -80,16 +84,14 @@ class FirstPlans:
                 found = priced
             if self.state.is_at_bound or (found is not None and not self._is_weighed):
                 break
-        if is_first and not self.state.is_at_bound:
-            self._offer_placed()
         return found
 
     def _offer_placed(self) -> None:
         """Offer a plan that pays for the streams between hosts, unless they cost nothing or that takes too long."""
         candidates, environment, clock = self.candidates, self.candidates.environment, self.state.clock
-        places = sum(len(candidate.places) for candidate in candidates.all)
-        is_paid = len(environment.hosts) > 1 and any(environment.prices_us)
-        if is_paid and clock.has_steps(clock.tuning.begin.placing * places):
+        number, places = len(environment.hosts), sum(len(candidate.places) for candidate in candidates.all)
+        size = places * (2 if len(environment.prices_us) == 1 else number)
+        if number > 1 and any(environment.prices_us) and clock.has_steps(clock.tuning.begin.placing * size):
             host_of = PlacedNetwork(candidates).cheap_plan(clock.tuning.begin.attempts)
             labels = {candidates.all[i].transformation.label for i in host_of}
             self.offer(self.units_of(self._with_companions(labels, self._run_us + 1)).union(host_of), host_of)
