@@ -9,7 +9,7 @@ import queue
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import partial
 from pathlib import Path
@@ -87,14 +87,19 @@ class Kept:
 @pytest.fixture
 def slow(monkeypatch: pytest.MonkeyPatch) -> None:
     """Followers that connect only some time after they have found a topic."""
+    delay_connections(monkeypatch, lambda: time.sleep(0.2))
+    monkeypatch.setattr(updates, "Patience", partial(updates.Patience, follow_s=PATIENCE_S))
+
+
+def delay_connections(monkeypatch: pytest.MonkeyPatch, wait: Callable[[], object]) -> None:
+    """Let followers `wait` before they connect to a topic that they have found."""
     connect = RunPlace.connect
 
     def late(place: RunPlace, topic: str) -> socket.socket | None:
-        time.sleep(0.2)
+        wait()
         return connect(place, topic)
 
     monkeypatch.setattr(RunPlace, "connect", late)
-    monkeypatch.setattr(updates, "Patience", partial(updates.Patience, follow_s=PATIENCE_S))
 
 
 @contextmanager
@@ -135,18 +140,13 @@ def test_a_topic_that_closes_and_opens_again_is_followed_from_its_first_element(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """A follower does not notice that the topic has closed before the next update asks for it."""
-    connect, is_asked = RunPlace.connect, threading.Event()
-
-    def late(place: RunPlace, topic: str) -> socket.socket | None:
-        is_asked.wait(PATIENCE_S)
-        time.sleep(0.2)
-        return connect(place, topic)
+    is_asked = threading.Event()
 
     def ask(_: object) -> bool:
         is_asked.set()
         return True
 
-    monkeypatch.setattr(RunPlace, "connect", late)
+    delay_connections(monkeypatch, lambda: is_asked.wait(PATIENCE_S) and time.sleep(0.2))
     monkeypatch.setattr(updates, "Patience", partial(updates.Patience, follow_s=PATIENCE_S))
     (tmp_path / "units.py").write_text(UNITS)
     outputs = (OutputPort("out", "Out"),)
@@ -170,13 +170,8 @@ def test_a_topic_that_closes_and_opens_again_is_followed_from_its_first_element(
 def test_elements_before_a_follower_that_an_update_did_not_await_are_counted(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    connect, is_late = RunPlace.connect, threading.Event()
-
-    def late(place: RunPlace, topic: str) -> socket.socket | None:
-        is_late.wait(PATIENCE_S)
-        return connect(place, topic)
-
-    monkeypatch.setattr(RunPlace, "connect", late)
+    is_late = threading.Event()
+    delay_connections(monkeypatch, lambda: is_late.wait(PATIENCE_S))
     warnings = list[str]()
     with operated(tmp_path, FIRST, record=tmp_path / "run.mcap") as operation:
         eventually(lambda: operation.flows.now().get("/first", Flow()).elements == 1)

@@ -67,10 +67,9 @@ class PlacedNetwork(Choosable):
         all_of = self.candidates.all
         for number in sorted(label for label in chosen if label < len(self.units)):
             index, host = self.units[number]
-            others = [
-                i for i in self.candidates.units_of(all_of[index].transformation.label) if all_of[i].running is None
-            ]
-            free = [i for i in (index, *others) if i not in host_of and host in all_of[i].places]
+            same = self.candidates.units_of(all_of[index].transformation.label)
+            new = [i for i in same if all_of[i].running is None]
+            free = [i for i in (index, *new) if i not in host_of and host in all_of[i].places]
             if free:
                 host_of[free[0]] = host
             else:

@@ -26,19 +26,21 @@ from cfgplan.reasons import Each, Providers, assign_different
 class Choosable:
     """A core from whose labels plans are chosen. `pinned` labels run in every plan; `special` ones have inputs whose
     needs the core does not fully state.
+
+    Here no label is special.
     """
 
     core: Core
     pinned: Sequence[int] = ()
     special: frozenset[int] = frozenset()
 
-    def special_feeders(self, label: int, total: Sequence[float]) -> list[int]:
+    def special_feeders(self, label: int, total: Sequence[float]) -> list[int]:  # noqa: ARG002
         """Return feeders, cheap by `total`, for the inputs of a special label that the core does not fully state."""
-        raise NotImplementedError
+        return []
 
-    def special_inputs_are_fed(self, label: int, before: set[int], chosen: set[int]) -> bool:
+    def special_inputs_are_fed(self, label: int, before: set[int], chosen: set[int]) -> bool:  # noqa: ARG002
         """Whether labels `before` a special one, and those chosen, can feed these inputs. In doubt False."""
-        raise NotImplementedError
+        return True
 
 
 class Network(Choosable):
