@@ -55,6 +55,23 @@ def same(x: Any) -> Any:
     return x
 
 
+class Steps:
+    """Gives the number of its steps, which survives a restart."""
+
+    def __init__(self) -> None:
+        self._steps = 0
+
+    def __call__(self, x: Any) -> int:  # noqa: ARG002
+        self._steps += 1
+        return self._steps
+
+    def get_state(self) -> int:
+        return self._steps
+
+    def set_state(self, state: int) -> None:
+        self._steps = state
+
+
 class Constructed:
     """Takes `seconds` to construct, as a model takes to load; gives its process id and its input."""
 

@@ -21,13 +21,13 @@ def count() -> Iterator[int]:
 
 
 class Tally:
-    """Counts its steps; the count survives a restart."""
+    """Counts its steps, each as `by`; the count survives a restart."""
 
-    def __init__(self) -> None:
-        self.steps = 0
+    def __init__(self, by: int = 1) -> None:
+        self.by, self.steps = by, 0
 
     def __call__(self, x: Any) -> int:  # noqa: ARG002
-        self.steps += 1
+        self.steps += self.by
         return self.steps
 
     def get_state(self) -> int:

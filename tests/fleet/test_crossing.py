@@ -12,6 +12,7 @@ from cfgplan_runtime.streams.crossing import (
     FRAMES_UNDER_WAY,
     LAST_SEGMENT,
     MOST_PIECES,
+    PAUSE_SEGMENT,
     Credit,
     Frame,
     Receiving,
@@ -88,16 +89,17 @@ def test_what_is_lost_if_no_more_is_sent_is_known_to_the_element() -> None:
     assert (sending.dropped, sending.lost) == (15, MOST_PIECES + 5)
 
 
-def test_ends_and_marks_are_neither_dropped_nor_counted_as_lost() -> None:
+def test_ends_marks_and_pauses_are_neither_dropped_nor_counted_as_lost() -> None:
     sending, receiving = Sending(), Receiving()
     sending.offer(MARK)
     for number in range(MOST_PIECES + 5):
         sending.offer(segment(number))
+    sending.offer(PAUSE_SEGMENT)
     sending.offer(LAST_SEGMENT)
     assert sending.lost == MOST_PIECES + 5
     came = carry(sending, receiving, Random(1), loss=0.0, until_s=5.0)
-    assert came[0].is_mark and came[-1].is_last
-    assert len(came) == MOST_PIECES + 5 - sending.dropped + 2
+    assert came[0].is_mark and came[-2].is_pause and came[-1].is_last
+    assert len(came) == MOST_PIECES + 5 - sending.dropped + 3
     assert (receiving.dropped, sending.lost) == (sending.dropped, 0)
 
 
@@ -338,7 +340,8 @@ def test_a_sender_without_any_credit_asks_for_one() -> None:
 
 def test_frames_and_told_credits_are_read_as_they_were_written() -> None:
     part = Frame(4, 1, segment(2), has_more=True)
-    for frame in (Frame(7, 3, segment(5)), Frame(8, 3, LAST_SEGMENT), Frame(9, 3, MARK), Frame(9, 0, None), part):
+    segments = (segment(5), LAST_SEGMENT, MARK, PAUSE_SEGMENT, None)
+    for frame in (*(Frame(number, 3, one) for number, one in enumerate(segments)), part):
         assert read_frame(frame.head(), b"" if frame.segment is None else bytes(frame.segment.payload)) == frame
     for credit in (Credit(5, 261), Credit(5, 261, (6, 9))):
         assert read_credit(credit.packed()) == credit

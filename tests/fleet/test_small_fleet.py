@@ -35,6 +35,7 @@ from cfgplan_runtime.supervision.events import (
 )
 from cfgplan_runtime.supervision.updates import Patience
 from cfgplan_runtime.testing import Bench, check_middleware
+from handing_over import delay_states
 from small_fleet import (
     PATIENCE_S,
     Listener,
@@ -124,6 +125,27 @@ def test_a_state_goes_to_the_next_unit_on_any_host_without_losing_a_step() -> No
         listener.await_more(20)
         assert seen(runtime, StateNotExact) == []
         assert {after - before for before, after in pairwise(listener.values)} == {1}
+
+
+def test_results_after_a_state_was_told_are_the_next_units_on_any_host() -> None:
+    """The stream of the unit that pauses crosses to another host, or the topic's does, or none."""
+    high, low = (
+        replace(worker(label, "Tally", run=RunOptions(state="altitude")), params={"by": by})
+        for label, by in (("high", 10), ("low", 1))
+    )
+    with small_fleet("r1", "r2") as fleet, fleet.runtime(source(), high, low) as runtime:
+        before = unit("high.0", "r2", topic="/result", x="count.1/n")
+        runtime.apply(ChangeSet(started=(COUNT, before)))
+        listener = Listener(runtime)
+        listener.await_more(20)
+        delay_states(runtime)
+        for number, host in enumerate(["r2", "r1", "r1", "r2"], start=1):
+            new = unit(f"{('high', 'low')[number % 2]}.{number}", host, topic="/result", x="count.1/n")
+            assert runtime.apply(swap(before, new)).unswitched == 0
+            before = new
+        listener.await_more(20)
+        assert seen(runtime, StateNotExact) == []
+        assert {after - before for before, after in pairwise(listener.values)} == {1, 10}
 
 
 def test_streams_of_several_hosts_feed_one_input_and_each_is_moved_without_loss_for_any() -> None:

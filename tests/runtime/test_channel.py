@@ -51,6 +51,42 @@ def test_elements_of_any_size_arrive_as_they_were_sent() -> None:
     assert came == sent
 
 
+def test_a_pause_comes_after_the_elements_that_wait_and_lasts_until_the_next_element() -> None:
+    sending, receiving = socket_pair()
+    sender, receiver = Sender(sending, queue=1000, blocks=False), Receiver(receiving)
+    for number in range(20):
+        sender.offer(Outgoing(number, 0, [bytes(LARGE)]))
+    assert sender.depth > 0
+    sender.pause()
+    came = list[int]()
+    while len(came) < 20:
+        assert not receiver.is_paused
+        sender.flush()
+        came += [element.time_ns for element in receiver.read()]
+    sender.flush()
+    assert (list(receiver.read()), receiver.is_paused) == ([], True)
+    sender.offer(Outgoing(20, 0, [b""]))
+    assert ([element.number for element in receiver.read()], receiver.is_paused) == ([20], False)
+    for end in (sending, receiving):
+        end.close()
+
+
+def test_an_element_that_is_given_before_a_pause_was_told_ends_it() -> None:
+    sending, receiving = socket_pair()
+    sender, receiver = Sender(sending, queue=1000, blocks=False), Receiver(receiving)
+    for number in range(20):
+        sender.offer(Outgoing(number, 0, [bytes(LARGE)]))
+    sender.pause()
+    sender.offer(Outgoing(20, 0, [b""]))
+    came = list[int]()
+    while len(came) < 21:
+        sender.flush()
+        came += [element.time_ns for element in receiver.read()]
+        assert not receiver.is_paused
+    for end in (sending, receiving):
+        end.close()
+
+
 def test_a_received_array_stays_as_it_is_however_much_comes_after_it() -> None:
     encoder = PayloadEncoder()
     sending, receiving = socket_pair()

@@ -16,14 +16,17 @@ import pytest
 from cfgplan_runtime import Runtime
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.handover import Handover
-from cfgplan_runtime.children.messages import Activate, GivenInput, HoldSteps, TakeState, ToChild
+from cfgplan_runtime.children.messages import Activate, Finish, GivenInput, HoldSteps, TakeState, TellState, ToChild
 from cfgplan_runtime.children.ports import Ports
 from cfgplan_runtime.children.steps import Step, StepQueue
 from cfgplan_runtime.children.unit_child import UnitChild
 from cfgplan_runtime.children.unit_order import unit_order
+from cfgplan_runtime.errors import ApplyError
 from cfgplan_runtime.streams.element import BEFORE_ALL, Element, Moment
 from cfgplan_runtime.streams.payload import PayloadEncoder
 from cfgplan_runtime.supervision.events import StateNotExact
+from cfgplan_runtime.supervision.updates import Patience
+from handing_over import delay_states
 from watching import Listener, StartRuntime, seen
 from world import eventually, source, start, unit, worker
 
@@ -129,6 +132,13 @@ def rises(runtime: Runtime, listener: Listener) -> set[tuple[int, ...]]:
     return {tuple(after - before for before, after in zip(*two, strict=True)) for two in pairwise(listener.values)}
 
 
+def rises_of_one(runtime: Runtime, listener: Listener) -> set[int]:
+    """End the run. Returns the differences between successive numbers."""
+    runtime.close()
+    listener.join()
+    return {after - before for before, after in pairwise(listener.values)}
+
+
 def test_elements_that_wait_for_a_partner_wait_in_the_next_unit(run_units: StartRuntime) -> None:
     """Input b has every second number, so that each step leaves one more element at input a."""
     high, low = modes("Pairs", inputs=("a", "b"), run=RunOptions(queue=10_000))
@@ -179,9 +189,84 @@ def test_a_chain_of_units_with_states_is_replaced_exactly(run_units: StartRuntim
     received = len(listener.received)
     eventually(lambda: len(listener.received) > received + 5)
     assert seen(runtime, StateNotExact) == []
-    runtime.close()
-    listener.join()
-    assert {after - before for before, after in pairwise(listener.values)} == {1}
+    assert rises_of_one(runtime, listener) == {1}
+
+
+def test_results_after_a_state_was_told_are_the_next_units(run_units: StartRuntime) -> None:
+    """The next unit makes these steps in another way, and from the state without them."""
+    high, low = (replace(one, params={"by": by}) for one, by in zip(modes("Tally"), (10, 1), strict=True))
+    runtime = run_units(source(), high, low)
+    delay_states(runtime)
+    runtime.apply(start(unit("count.1"), unit("high.0", topic="/result", x="count.1/n")))
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 20)
+    for number in range(1, 6):
+        assert runtime.apply(next_mode(number, x="count.1/n")).unswitched == 0
+    received = len(listener.received)
+    eventually(lambda: len(listener.received) > received + 5)
+    assert seen(runtime, StateNotExact) == []
+    assert rises_of_one(runtime, listener) == {1, 10}
+
+
+def test_results_of_a_chain_after_states_were_told_are_the_next_chains(run_units: StartRuntime) -> None:
+    chains = [
+        [worker(f"{place}_{mode}", "Tally", by=by, run=RunOptions(state=place)) for place in ("first", "second")]
+        for mode, by in (("high", 10), ("low", 1))
+    ]
+    runtime = run_units(source(), *chains[0], *chains[1])
+    delay_states(runtime)
+
+    def chain(number: int) -> tuple[ComputationUnit, ...]:
+        mode = ("high", "low")[number % 2]
+        return (
+            unit(f"first_{mode}.{number}", topic="/result", x=f"second_{mode}.{number}/y"),
+            unit(f"second_{mode}.{number}", topic="/second", x="count.1/n"),
+        )
+
+    runtime.apply(start(unit("count.1"), *chain(0)))
+    listeners = [Listener("/result"), Listener("/second")]
+    eventually(lambda: min(len(listener.received) for listener in listeners) > 20)
+    for number in range(1, 5):
+        runtime.apply(ChangeSet(started=chain(number), stopped=tuple(one.id for one in chain(number - 1))))
+    received = len(listeners[0].received)
+    eventually(lambda: len(listeners[0].received) > received + 5)
+    assert seen(runtime, StateNotExact) == []
+    assert [rises_of_one(runtime, listener) for listener in listeners] == [{1, 10}] * 2
+
+
+def test_a_unit_whose_successor_fails_at_each_step_makes_the_steps_that_came_meanwhile(
+    run_units: StartRuntime,
+) -> None:
+    """More of them than may wait at an input otherwise."""
+    high, _ = modes("Tally", run=RunOptions(queue=8))
+    low = replace(worker("low", "FailsWithState"), run=high.run)
+    runtime = run_units(source(), high, low)
+    runtime.apply(start(unit("count.1"), unit("high.0", topic="/result", x="count.1/n")))
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 20)
+    with pytest.raises(ApplyError, match="its code fails"):
+        runtime.apply(next_mode(1, x="count.1/n"), patience=Patience(switch_s=0.5))
+    received = len(listener.received)
+    eventually(lambda: len(listener.received) > received + 150)
+    assert seen(runtime, StateNotExact) == []
+    assert rises_of_one(runtime, listener) == {1}
+
+
+def test_a_unit_that_has_told_its_state_leaves_the_steps_that_wait_when_it_ends() -> None:
+    ours, theirs = socket.socketpair()
+    high, _ = modes("Tally")
+    order = msgspec.structs.replace(unit_order("high.1", high, None), folder=str(Path(__file__).parent))
+    child = UnitChild(order, ControlConnection(theirs, ToChild))
+    child._obey(Activate(), [])
+    child._obey(TellState({}), [])
+    child._work()
+    child._ports.inputs["x"].take(Element(1, 0, 0, b"".join(PayloadEncoder().encode(1))))
+    child._obey(Finish(), [])
+    child._work()
+    assert (child.step, child._has_work) == (0, False)
+    child.close()
+    for end in (ours, theirs):
+        end.close()
 
 
 @pytest.mark.parametrize("code", ["Clock", "SlowFirst"])
@@ -204,9 +289,7 @@ def test_a_source_goes_on_where_the_one_before_has_ended(run_units: StartRuntime
         runtime.apply(next_mode(number))
     received = len(listener.received)
     eventually(lambda: len(listener.received) > received + 5)
-    runtime.close()
-    listener.join()
-    assert {after - before for before, after in pairwise(listener.values)} == {1}
+    assert rises_of_one(runtime, listener) == {1}
 
 
 @pytest.mark.parametrize(
@@ -239,9 +322,7 @@ def test_a_state_that_comes_again_changes_nothing_in_a_unit_that_makes_steps(run
     runtime._executor.call(lambda: runtime.supervisor.backend.give_state("high.0", zero, {}))
     received = len(listener.received)
     eventually(lambda: len(listener.received) > received + 20)
-    runtime.close()
-    listener.join()
-    assert {after - before for before, after in pairwise(listener.values)} == {1}
+    assert rises_of_one(runtime, listener) == {1}
 
 
 def test_a_source_that_was_asked_for_its_state_and_stays_gives_again_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -250,14 +331,16 @@ def test_a_source_that_was_asked_for_its_state_and_stays_gives_again_at_once(mon
     said = list[object]()
     handover = Handover(
         StepQueue([], start="all", tolerance_ns=0, limit=1),
-        cast("Ports", SimpleNamespace(inputs={}, say=said.append)),
+        cast("Ports", SimpleNamespace(inputs={}, outputs={}, say=said.append)),
         3,
     )
     handover.ask_state({})
     handover.tell(b"state")
-    assert handover.pause_ns > clock.now_ns
+    assert handover.is_still
+    assert handover.pause_ns > 0
     handover.stay()
-    assert handover.pause_ns <= clock.now_ns
+    assert not handover.is_still
+    assert handover.pause_ns == 0
     handover.ask_state({})
     handover.stay()
     assert not handover.is_state_due

@@ -155,20 +155,31 @@ def test_elements_of_one_time_are_told_apart_by_their_turn() -> None:
 
 @given(st.data())
 def test_no_order_of_deeds_reverses_elements_or_loses_one_uncounted(data: st.DataObject) -> None:
-    """Units come, each with the same stream from some element on; all but the latest may end behind their last one."""
+    """Units come, each with the same stream from some element on. All but the latest may pause, and continue after a
+    while, or end behind their last element.
+    """
     limit = data.draw(st.integers(2, 6), "limit")
     inlet, handed_on = InputQueue(limit), list[Element]()
-    wires: dict[int, list[Element]] = {}
-    """What was sent over each wire and has not come."""
+    wires: dict[int, list[Element | None]] = {}
+    """What was sent over each wire and has not come; None for a pause."""
     given_by, ended = dict[int, int](), set[int]()
     """The number of elements that each unit has given, and the units that have ended."""
+    pauses: dict[int, int] = {}
+    """The number of elements that were made before each unit paused."""
     begun = made = 0
+
+    def give(wire: int, numbers: range) -> None:
+        for number in numbers:
+            wires[wire].append(element(number, given_by[wire]))
+            given_by[wire] += 1
+
     for _ in range(data.draw(st.integers(1, 60), "deeds")):
         come = [wire for wire, sent in wires.items() if sent]
         gone = [wire for wire, sent in wires.items() if wire in ended and not sent]
         deeds = ["begin", "make", "switch", *["come"] * 4 * bool(come), *["gone"] * bool(gone)]
         replaced = sorted(wires.keys() - ended)[:-1]
-        match data.draw(st.sampled_from([*deeds, "end"] if replaced else deeds)):
+        deeds += ["end", "pause"] * bool(replaced) + ["resume"] * bool(pauses.keys() & replaced)
+        match data.draw(st.sampled_from(deeds)):
             case "begin":
                 begun += 1
                 wires[begun], given_by[begun] = [], 0
@@ -176,13 +187,20 @@ def test_no_order_of_deeds_reverses_elements_or_loses_one_uncounted(data: st.Dat
             case "end":
                 ended.add(data.draw(st.sampled_from(replaced)))
             case "make":
-                for wire in wires.keys() - ended:
-                    wires[wire].append(element(made, given_by[wire]))
-                    given_by[wire] += 1
+                for wire in wires.keys() - ended - pauses.keys():
+                    give(wire, range(made, made + 1))
                 made += bool(wires)
+            case "pause":
+                wire = data.draw(st.sampled_from(replaced))
+                pauses[wire] = pauses.get(wire, made)
+                wires[wire].append(None)
+            case "resume":
+                wire = data.draw(st.sampled_from(sorted(pauses.keys() & replaced)))
+                give(wire, range(pauses.pop(wire), made))
             case "come":
                 wire = data.draw(st.sampled_from(come))
-                handed_on += inlet.accept(wire, wires[wire].pop(0))
+                first = wires[wire].pop(0)
+                handed_on += inlet.pause(wire) if first is None else inlet.accept(wire, first)
             case "gone":
                 wire = data.draw(st.sampled_from(gone))
                 del wires[wire]
@@ -194,8 +212,50 @@ def test_no_order_of_deeds_reverses_elements_or_loses_one_uncounted(data: st.Dat
     came = times(handed_on)
     assert came == sorted(set(came))
     missing = sum(after - before - 1 for before, after in pairwise(came))
-    late = sum(len(sent) for wire, sent in wires.items() if wire not in (inlet.active, inlet.standby))
+    late = sum(
+        sum(one is not None for one in sent)
+        for wire, sent in wires.items()
+        if wire not in (inlet.active, inlet.standby)
+    )
     assert missing <= inlet.dropped + late
+
+
+def test_an_inlet_switches_from_a_source_that_pauses_at_the_first_element_of_the_next() -> None:
+    inlet = InputQueue(limit=10)
+    inlet.attach(1)
+    inlet.attach(2)
+    assert times(inlet.accept(1, element(1))) == [1]
+    assert (inlet.pause(1), inlet.active, inlet.is_paused) == ([], 1, True)
+    assert times(inlet.accept(2, element(2))) == [2]
+    assert (inlet.active, inlet.is_paused) == (2, False)
+
+
+def test_an_inlet_switches_when_a_source_pauses_of_whose_successor_an_element_waits() -> None:
+    inlet = InputQueue(limit=10)
+    inlet.attach(1)
+    inlet.attach(2)
+    assert inlet.accept(2, element(2)) == []
+    assert times(inlet.accept(1, element(1)) + inlet.pause(1)) == [1, 2]
+    assert inlet.active == 2
+
+
+def test_after_a_pause_the_earliest_standby_is_next_unless_it_pauses_too() -> None:
+    inlet = InputQueue(limit=10)
+    for wire in (1, 2, 3):
+        inlet.attach(wire)
+    handed_on = inlet.accept(1, element(1)) + inlet.pause(1) + inlet.accept(3, element(3))
+    assert times(handed_on) == [1], "an element of 2 may come before that of 3"
+    assert times(inlet.pause(2)) == [3]
+    assert inlet.active == 3
+
+
+def test_a_source_that_gives_again_pauses_no_longer() -> None:
+    inlet = InputQueue(limit=10)
+    inlet.attach(1)
+    inlet.attach(2)
+    assert times(inlet.accept(1, element(1)) + inlet.pause(1) + inlet.accept(1, element(2))) == [1, 2]
+    assert inlet.accept(2, element(3)) == []
+    assert inlet.active == 1
 
 
 def test_a_source_between_two_others_is_read_where_the_first_one_ended() -> None:

@@ -2,7 +2,7 @@
 
 The next unit keeps the elements that it receives, and says from which moment on it receives all. The old unit
 continues. Once it has received the element of that moment, it tells its state between two steps, with the place of
-that state in each input. The next unit begins there.
+that state in each input, and pauses. The next unit begins there.
 """
 
 from __future__ import annotations
@@ -19,9 +19,11 @@ from cfgplan_runtime.streams.element import BEFORE_ALL, Element, Moment
 from cfgplan_runtime.streams.inlet import port_of
 
 _MOST_HELD_NS = 5_000_000_000
-"""Nanoseconds after which a unit that waits for a state keeps few elements, and a source that has sent its state
+"""Nanoseconds after which a unit that waits for a state keeps few elements, and a unit that has sent its state
 continues: the supervisor may be gone. The next supervisor undoes the hand-over.
 """
+NEVER_NS = 1 << 63
+"""A time that never comes."""
 _MOST_HELD = 4096
 """The most elements that an inlet keeps: four seconds at 1,000 Hz."""
 
@@ -45,6 +47,7 @@ class Handover:
         self._asked: Mapping[str, Moment] | None = None
         """The elements after which the state is told, by inlet; None if nobody asks."""
         self._paused_until_ns = 0
+        """The time until which a unit that has told its state makes no step; 0 if it has told none."""
 
     def hold(self) -> None:
         """Keep the elements that come before the state."""
@@ -61,9 +64,14 @@ class Handover:
         return self.is_waiting and time.monotonic_ns() >= self._late_ns
 
     @property
+    def is_still(self) -> bool:
+        """Whether no step may begin: the unit waits for a state, or has told its own."""
+        return self.is_waiting or (self._paused_until_ns != 0 and self.pause_ns > 0)
+
+    @property
     def pause_ns(self) -> int:
-        """The time until which a source that has told its state gives nothing."""
-        return self._paused_until_ns
+        """The nanoseconds for which a unit that has told its state still makes no step."""
+        return self._paused_until_ns and max(0, self._paused_until_ns - time.monotonic_ns())
 
     def keep(self, inlet: str, element: Element, *, may_drop: bool) -> None:
         """Keep an element for later steps. Without room the oldest of its inlet is dropped, if it `may_drop`.
@@ -102,7 +110,7 @@ class Handover:
 
     def refill(self) -> None:
         """Give the steps the kept elements that they have room for."""
-        if self._held is None or self.is_waiting:
+        if self._held is None or self.is_still:
             return
         for inlet, kept in self._held.items():
             while kept and not self._steps.is_full(inlet):
@@ -135,9 +143,12 @@ class Handover:
 
     @property
     def is_state_due(self) -> bool:
-        """Whether the state is asked for, and all elements that it needs have been received."""
+        """Whether the state is asked for, and all elements that it needs have been received.
+
+        A source that pauses has told its state, too: the next one's first element comes after all of its elements.
+        """
         return self._asked is not None and all(
-            name not in self._ports.inputs or self._ports.inputs[name].inlet.last >= moment
+            (port := self._ports.inputs.get(name)) is None or port.inlet.last >= moment or port.inlet.is_paused
             for name, moment in self._asked.items()
         )
 
@@ -145,8 +156,15 @@ class Handover:
         """Continue with the unit's own state: it is not replaced after all."""
         self._asked, self._paused_until_ns = None, 0
 
+    def end(self) -> None:
+        """Make no step any more if the state was told: the next unit makes those that wait."""
+        if self._paused_until_ns:
+            self._paused_until_ns = NEVER_NS
+
     def tell(self, state: bytes | None) -> None:
-        """Tell the asked state between two steps. A source then pauses: nothing says where the next one began."""
+        """Tell the asked state between two steps, then pause: the next unit makes the steps from here on, perhaps in
+        another way.
+        """
         assert self._asked is not None
         asked, self._asked = self._asked, None
         inputs = {
@@ -154,5 +172,8 @@ class Handover:
             for name, port in self._ports.inputs.items()
         }
         self._ports.say(StateTold(state, inputs))
-        if state is not None and not self._ports.inputs:
+        if state is not None:
             self._paused_until_ns = time.monotonic_ns() + _MOST_HELD_NS
+            self._held, self._most = self._held or {}, _MOST_HELD
+            for name in self._ports.outputs:
+                self._ports.pause(name)

@@ -48,6 +48,8 @@ class UnitInput:
     """False if the producers have to wait."""
     lose: Callable[[], None] = _nothing
     """Called when it has lost its source."""
+    pause: Callable[[], None] = _nothing
+    """Called when its source pauses, and no other takes its place."""
     receivers: dict[int, Receiver] = field(default_factory=dict)
     announced: int | None = None
     """The active source that was last reported to the supervisor."""
@@ -111,6 +113,13 @@ class Ports:
             sender.offer(element)
             if sender.is_closed or (sender.depth and not had_rest):
                 self._after_sending(output, sender)
+
+    def pause(self, port: str) -> None:
+        """Tell every subscriber of an output that it gives nothing until its next element."""
+        output = self.outputs[port]
+        for sender in list(output.senders):
+            sender.pause()
+            self._after_sending(output, sender)
 
     def skip(self, port: str, count: int) -> None:
         """Let every subscriber of an output see that so many elements were dropped before it."""
@@ -267,6 +276,11 @@ class Ports:
             return
         for element in receiver.read():
             self._settle(port, port.inlet.accept(wire, element))
+        if receiver.is_paused and wire in port.receivers:
+            was_paused = port.inlet.is_paused
+            self._settle(port, port.inlet.pause(wire))
+            if port.inlet.is_paused and not was_paused:
+                port.pause()
         if receiver.has_ended and wire in port.receivers:
             self._settle(port, port.inlet.end(wire))
             if port.inlet.active is None:

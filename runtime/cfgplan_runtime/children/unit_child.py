@@ -13,7 +13,7 @@ from cfgplan.rows import ALL
 from cfgplan_runtime.children import messages
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.failures import Failures
-from cfgplan_runtime.children.handover import Handover
+from cfgplan_runtime.children.handover import NEVER_NS, Handover
 from cfgplan_runtime.children.ports import Ports, UnitInput, UnitOutput
 from cfgplan_runtime.children.program import ProgramCode
 from cfgplan_runtime.children.program_source import names_program
@@ -29,7 +29,6 @@ from cfgplan_runtime.streams.said_qualities import SaidQualities
 _LONGEST_WORK_NS = 1_000_000
 """Nanoseconds of back-to-back steps after which sockets are looked at again."""
 _BLOCKED_NS = 500_000_000
-_NEVER_NS = 1 << 63
 _LATEST_TICK_NS = 100_000_000
 """A source that is later than this skips ticks instead of catching up."""
 
@@ -92,8 +91,8 @@ class UnitChild:
         than that of the unit that it replaces.
         """
         self._is_exhausted = self._is_finishing = self._is_interrupted = self._is_closing = False
-        self._since_ns = _NEVER_NS
-        """Since when unit code is at one piece of work; _NEVER_NS while it is not called."""
+        self._since_ns = NEVER_NS
+        """Since when unit code is at one piece of work; NEVER_NS while it is not called."""
         self._raised: Exception | None = None
         """The last exception of a source that has given nothing since; the cause if the source then ends."""
         self._tick_ns = 0
@@ -188,7 +187,7 @@ class UnitChild:
             self._exhaust()
 
     def _close_code(self) -> None:
-        self._since_ns, self._is_closing = _NEVER_NS, True
+        self._since_ns, self._is_closing = NEVER_NS, True
         if self._program is not None:
             self._ports.ends.unwatch(self._program.end)
             self._ports.ends.unwatch(self._program.input)
@@ -225,6 +224,7 @@ class UnitChild:
                 self._handover.stay()
             case messages.Finish():
                 self._ports.drain()
+                self._handover.end()
                 self._is_finishing = True
 
     @property
@@ -255,7 +255,7 @@ class UnitChild:
 
     @property
     def _pending(self) -> Step | None:
-        may = self._may_give and not self._is_source and not self._handover.is_waiting
+        may = self._may_give and not self._is_source and not self._handover.is_still
         if self._next_step is None and may:
             self._handover.refill()
             self._next_step = self._steps.next()
@@ -264,7 +264,7 @@ class UnitChild:
     @property
     def _may_tick(self) -> bool:
         may = self._is_active and self._is_source and not self._is_exhausted and not self._is_finishing
-        return may and self._has_room and not self._handover.is_waiting
+        return may and self._has_room and not self._handover.is_still
 
     def _patience_s(self) -> float:
         now = time.monotonic_ns()
@@ -273,7 +273,9 @@ class UnitChild:
             if self._has_results or self._has_replies or (self._has_room and self._pending is not None):
                 return 0.0
             if self._may_tick:
-                until = min(until, max(self._tick_ns, self._handover.pause_ns))
+                until = min(until, self._tick_ns)
+            elif pause_ns := self._handover.pause_ns:
+                until = min(until, now + pause_ns)
         return max(0.0, (until - now) / 1e9)
 
     def _work(self) -> None:
@@ -295,7 +297,7 @@ class UnitChild:
             else:
                 break
         self._answer()
-        self._since_ns = _NEVER_NS
+        self._since_ns = NEVER_NS
         if self._program is not None:
             self._program.flush()
         self._ports.resume()
@@ -328,7 +330,7 @@ class UnitChild:
     def _tick(self) -> bool:
         """Let a source produce if it is due. Returns whether it was."""
         now = time.monotonic_ns()
-        if now < max(self._tick_ns, self._handover.pause_ns):
+        if now < self._tick_ns:
             return False
         period = self._order.period_ns
         if period is not None:
@@ -421,7 +423,7 @@ class UnitChild:
                 self._errors,
                 self._input_counts(),
                 self._ports.output_counts(),
-                self._state() if self._is_active and not self._handover.is_waiting else None,
+                self._state() if self._is_active and not self._handover.is_still else None,
                 self._qualities.taken(),
             )
         )

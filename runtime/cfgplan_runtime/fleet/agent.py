@@ -524,7 +524,7 @@ class Agent:
             case events.UnitReady(unit, labor_us):
                 held.units[unit].labor_us = labor_us
                 self._tell_usage([unit])
-            case events.UnitStatus(unit):
+            case events.UnitStatus(unit) | events.StateTold(unit):
                 self._keep_state(unit, event.state)
             case events.SparePrepared(spare, labor_us):
                 held.spares[spare].labor_us = labor_us

@@ -161,7 +161,10 @@ class Relay:
             payload = element.payload if isinstance(element.payload, bytes) else bytes(element.payload)
             sending.offer(crossing.Segment(element.time_ns, element.turn, payload))
 
-        port = self._ports.inputs[name] = UnitInput(name, inlet, take, lambda: not sending.is_full)
+        def pause() -> None:
+            sending.offer(crossing.PAUSE_SEGMENT)
+
+        port = self._ports.inputs[name] = UnitInput(name, inlet, take, lambda: not sending.is_full, pause=pause)
         self._exports[name] = _Export(sending, host, port)
 
     def _release(self, name: str) -> None:
@@ -194,6 +197,8 @@ class Relay:
                 one.skipped = one.receiving.dropped
             if segment.is_last:
                 one.has_ended = True
+            elif segment.is_pause:
+                self._ports.pause(name)
             elif segment.is_mark:
                 one.marks.append(bytes(segment.payload).decode())
             else:

@@ -15,6 +15,7 @@ from cfgplan_runtime.streams.element import (
     HEADER,
     HEADER_MARK,
     LONGEST_PAYLOAD,
+    PAUSE_MARK,
     PLACE_MARK,
     Buffer,
     Element,
@@ -61,6 +62,8 @@ class Sender:
         self._waiting: deque[tuple[int, Outgoing]] = deque()
         self._waiting_bytes = 0
         self._rest: memoryview | None = None
+        self._is_to_pause = False
+        """Whether the receiver is to be told of a pause after the elements that wait."""
 
     @property
     def is_full(self) -> bool:
@@ -76,10 +79,14 @@ class Sender:
         were `before`.
         """
         time_ns, turn = last
-        head = HEADER.pack(PLACE_MARK, 0, max(turn, 0), before, time_ns)
-        sent = self._try([head])
-        if sent < len(head) and not self.is_closed:
-            self._rest = memoryview(head)[sent:]
+        self._say(HEADER.pack(PLACE_MARK, 0, max(turn, 0), before, time_ns))
+
+    def pause(self) -> None:
+        """Tell the receiver, after all elements so far, that nothing comes until the next element. The rest waits for
+        `flush`.
+        """
+        self._is_to_pause = True
+        self.flush()
 
     def offer(self, element: Outgoing) -> None:
         """Send an element. The rest waits for `flush`."""
@@ -87,6 +94,7 @@ class Sender:
             return
         number = self._number
         self._number += 1
+        self._is_to_pause = False
         if self._rest is None and not self._waiting:
             self._send(number, element)
             return
@@ -116,6 +124,9 @@ class Sender:
                 number, element = self._waiting.popleft()
                 self._waiting_bytes -= element.size
                 self._send(number, element)
+        if self._is_to_pause and not self.depth and not self.is_closed:
+            self._is_to_pause = False
+            self._say(HEADER.pack(PAUSE_MARK, 0, 0, 0, 0))
         return self.is_closed or not self.depth
 
     def attend(self) -> None:
@@ -136,6 +147,12 @@ class Sender:
         self.is_closed = True
         self._waiting.clear()
         self._rest = None
+
+    def _say(self, head: bytes) -> None:
+        """Send a header that is no element, while nothing waits."""
+        sent = self._try([head])
+        if sent < len(head) and not self.is_closed:
+            self._rest = memoryview(head)[sent:]
 
     def _send(self, number: int, element: Outgoing) -> None:
         parts = [element.header(number), *element.parts]
@@ -164,6 +181,8 @@ class Receiver:
         """The moment after which it gets every element; None until the sender has told it."""
         self.before = 0
         """How many elements the sender had given by then."""
+        self.is_paused = False
+        """Whether the sender has told after its last element that it pauses."""
         self._chunk = memoryview(bytearray(_FIRST_CHUNK))
         self._pending = b""
         self._header: tuple[int, int, int, int] | None = None
@@ -216,6 +235,9 @@ class Receiver:
                     self.place = BEFORE_ALL if time_ns == BEFORE_ALL[0] else (time_ns, turn)
                     self.before, self._header = number, None
                     continue
+                if mark == PAUSE_MARK:
+                    self.is_paused, self._header = True, None
+                    continue
                 if mark != HEADER_MARK or length > LONGEST_PAYLOAD:
                     self.has_ended = True
                     return
@@ -238,6 +260,7 @@ class Receiver:
         assert self._header is not None
         _, turn, number, time_ns = self._header
         self._header = self._payload = None
+        self.is_paused = False
         return Element(time_ns, turn, number, payload)
 
     def _receive(self, into: memoryview) -> int:

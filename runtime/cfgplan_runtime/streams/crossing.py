@@ -88,7 +88,8 @@ _MISSING_NUMBER = struct.Struct("<Q")
 class Segment(NamedTuple):
     """An element on its way between hosts; with `is_last`, the end of its stream, which has no payload.
 
-    With `is_mark` it reports to the run named in it that all earlier segments have arrived.
+    With `is_mark` it reports to the run named in it that all earlier segments have arrived; with `is_pause`, that the
+    stream pauses until its next element.
     """
 
     time_ns: int
@@ -96,14 +97,22 @@ class Segment(NamedTuple):
     payload: Buffer
     is_last: bool = False
     is_mark: bool = False
+    is_pause: bool = False
 
     @property
     def is_element(self) -> bool:
-        return not (self.is_last or self.is_mark)
+        return not (self.is_last or self.is_mark or self.is_pause)
+
+    @property
+    def kind(self) -> int:
+        """The kind of the frame that has the end of this segment."""
+        if self.is_element:
+            return _ELEMENT
+        return _LAST if self.is_last else _MARKER if self.is_mark else _PAUSE
 
 
-LAST_SEGMENT = Segment(0, 0, b"", is_last=True)
-_ELEMENT, _LAST, _QUESTION, _MARKER, _PART = range(5)
+LAST_SEGMENT, PAUSE_SEGMENT = Segment(0, 0, b"", is_last=True), Segment(0, 0, b"", is_pause=True)
+_ELEMENT, _LAST, _QUESTION, _MARKER, _PART, _PAUSE = range(6)
 """Kinds of frames."""
 
 
@@ -124,7 +133,7 @@ class Frame(NamedTuple):
         segment = self.segment
         if segment is None:
             return _HEAD.pack(self.number, self.dropped, 0, 0, _QUESTION)
-        kind = _LAST if segment.is_last else _MARKER if segment.is_mark else _PART if self.has_more else _ELEMENT
+        kind = _PART if self.has_more else segment.kind
         return _HEAD.pack(self.number, self.dropped, segment.time_ns, segment.turn, kind)
 
 
@@ -133,8 +142,8 @@ def read_frame(head: bytes, payload: bytes) -> Frame | None:
     if len(head) != _HEAD.size:
         return None
     number, dropped, time_ns, turn, kind = _HEAD.unpack(head)
-    segment = None if kind == _QUESTION else Segment(time_ns, turn, payload, kind == _LAST, kind == _MARKER)
-    return Frame(number, dropped, segment, kind == _PART)
+    segment = Segment(time_ns, turn, payload, kind == _LAST, kind == _MARKER, kind == _PAUSE)
+    return Frame(number, dropped, None if kind == _QUESTION else segment, kind == _PART)
 
 
 @dataclass(frozen=True, slots=True)

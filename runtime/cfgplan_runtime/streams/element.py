@@ -24,6 +24,11 @@ PLACE_MARK = 0x9E3779BA
 its sequence number is the number of elements before.
 """
 
+PAUSE_MARK = 0x9E3779BB
+"""The first bytes of a header that is no element, but tells that the sender pauses: the next element that it gives, if
+any, ends the pause.
+"""
+
 LONGEST_PAYLOAD = 1 << 31
 
 

@@ -2,9 +2,11 @@
 
 An inlet has an active source and, while it is rewired, a standby. The standby's elements wait until the active source
 has sent everything before the first of them. Then the inlet switches, and skips elements of the standby that are not
-newer. So the moments of the elements that it delivers always rise. If it has to switch early, it still reads the former
-source: elements before the first one of the new source are delivered until the new source has sent one, and counted as
-dropped from then on.
+newer. So the moments of the elements that it delivers always rise. A unit that has given its state to the standby
+pauses, and tells so: everything before the standby's first element has come then.
+
+If an inlet has to switch early, it still reads the former source: elements before the first one of the new source are
+delivered until the new source has sent one, and counted as dropped from then on.
 
 If it is rewired again before it has switched, it reads the earlier standbys too: the active source may have ended, and
 only they send the elements between its last one and the first one of the latest standby.
@@ -47,6 +49,8 @@ class InputQueue:
     _next_number: dict[int, int] = field(default_factory=dict)
     _former: dict[int, Moment] = field(default_factory=dict)
     """Sources from which the inlet switched early, each with the moment up to which it is still read."""
+    _paused: set[int] = field(default_factory=set)
+    """Sources that have paused after their last element."""
 
     @property
     def sources(self) -> set[int]:
@@ -61,6 +65,11 @@ class InputQueue:
         """The latest standby."""
         return next(reversed(self._standbys), None)
 
+    @property
+    def is_paused(self) -> bool:
+        """Whether the active source pauses."""
+        return self.active in self._paused
+
     def attach(self, wire: int) -> bool:
         """Add a source. Returns whether it is active at once; otherwise it becomes the latest standby."""
         if self.active is None:
@@ -71,6 +80,7 @@ class InputQueue:
 
     def accept(self, wire: int, element: Element) -> list[Element]:
         """Take an element from `wire`. Returns the elements to deliver now."""
+        self._paused.discard(wire)
         if wire == self.active:
             self._count_drops(wire, element)
             handed_on = self._from_new([element])
@@ -92,8 +102,14 @@ class InputQueue:
                 self.dropped += 1
         return []
 
+    def pause(self, wire: int) -> list[Element]:
+        """Record that `wire` gives nothing until its next element. Returns the elements to deliver now."""
+        self._paused.add(wire)
+        return self._switch_when_due()
+
     def end(self, wire: int) -> list[Element]:
         """Record the end of `wire`. Returns the elements to deliver now."""
+        self._paused.discard(wire)
         if wire == self.active:
             self.active = None
             self._next_number.pop(wire, None)
@@ -144,11 +160,18 @@ class InputQueue:
         return delivered + self._switch_when_due()
 
     def _switch_when_due(self) -> list[Element]:
-        """Switch to the latest standby of which the active source has sent the first element."""
+        """Switch to the latest standby of which the active source has sent the first element; after a source that
+        pauses, to the earliest one.
+        """
         for wire in reversed(self._standbys):
             held = self._standbys[wire]
             if held and wire not in self._ended and self.last >= held[0].moment:
                 return self._switch_to(wire, BEFORE_ALL) + self._switch_when_due()
+        for wire, held in self._standbys.items() if self.is_paused else ():
+            if held and wire not in self._ended:
+                return self._switch_to(wire, BEFORE_ALL) + self._switch_when_due()
+            if wire not in self._ended | self._paused:
+                break  # what it still sends comes before the elements of later standbys
         return []
 
     def _from_new(self, elements: deque[Element] | list[Element]) -> list[Element]:

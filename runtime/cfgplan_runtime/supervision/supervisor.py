@@ -454,6 +454,8 @@ class Supervisor:
                 self._note_status(unit, event)
             case events.PlacesTold(unit) | events.StateTold(unit) if unit in self._records:
                 self._answers[unit] = event
+                if isinstance(event, events.StateTold):
+                    self._keep_state(unit, event.state)
                 return False
             case events.PlacesTold() | events.StateTold():
                 return False
@@ -483,8 +485,12 @@ class Supervisor:
             return
         record.sign_s = self.now()
         record.note_status(status, self.backend.now())
-        if status.state is not None and record.state_name is not None:
-            self._states[record.state_name] = status.state
+        self._keep_state(unit, status.state)
+
+    def _keep_state(self, unit: str, state: bytes | None) -> None:
+        name = self._records[unit].state_name
+        if state is not None and name is not None:
+            self._states[name] = state
 
     def _remove_dead(self, unit: str) -> None:
         self.alive.discard(unit)
