@@ -10,12 +10,10 @@ from cfgplan_runtime import ApplyError, Patience
 from cfgplan_runtime.children.messages import GivenInput
 from cfgplan_runtime.errors import AbandonedError
 from cfgplan_runtime.supervision.backend import Inlet
-from cfgplan_runtime.supervision.events import PlacesTold, StateTold
-from cfgplan_runtime.supervision.updates import (
+from cfgplan_runtime.supervision.commands import (
     ActivateUnit,
     AskPlaces,
     AskState,
-    CarriedOut,
     CloseTopic,
     Command,
     Connect,
@@ -34,9 +32,9 @@ from cfgplan_runtime.supervision.updates import (
     SwitchNow,
     TellOf,
     WaitUntil,
-    carry_out,
-    environment_after,
 )
+from cfgplan_runtime.supervision.events import PlacesTold, StateTold
+from cfgplan_runtime.supervision.updates import CarriedOut, carry_out, environment_after
 from cfgplan_runtime.supervision.wiring import Wire, wanted_feeds, wanted_topics
 from world import RESULT, source, start, unit, worker
 

@@ -18,7 +18,7 @@ import msgspec
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Transformation
 from cfgplan.errors import InvalidValueError
 from cfgplan_runtime.errors import ApplyError, RuntimeFaultError, StaleChangeSetError
-from cfgplan_runtime.supervision import events, updates
+from cfgplan_runtime.supervision import commands, events, updates
 from cfgplan_runtime.supervision.backend import Backend, Failures, Found, Inlet
 from cfgplan_runtime.supervision.listeners import LOG
 from cfgplan_runtime.supervision.observation import Observation, UnitRecord
@@ -137,11 +137,11 @@ class Supervisor:
         again = self._stopping.keys() & {unit.id for unit in change_set.started}
         ends_s = max((self._stopping[unit].end_s for unit in again), default=self.now()) - self.now()
         patience_s = max(0.0, ends_s) + self._update_patience.kill_s
-        self._wait(updates.WaitUntil(lambda: self._stopping.keys().isdisjoint(again), patience_s))
+        self._wait(commands.WaitUntil(lambda: self._stopping.keys().isdisjoint(again), patience_s))
         self._is_abandoned = is_abandoned
         try:
-            commands = updates.carry_out(self, change_set, after, self._update_patience, keeps_new=keeps_new)
-            carried = self._drive(commands)
+            update = updates.carry_out(self, change_set, after, self._update_patience, keeps_new=keeps_new)
+            carried = self._drive(update)
         except ApplyError as error:
             self.spares.keep(self.environment, self.now())
             self._report(events.RolledBack(name, str(error)))
@@ -165,7 +165,7 @@ class Supervisor:
         told_of = self.backend.take_hosts([host.name for host in change_set.added_hosts])
         for host in told_of:
             self.hosts.pop(host, None)
-        self._wait(updates.WaitUntil(lambda: self.hosts.keys() >= set(told_of), _HOSTS_S))
+        self._wait(commands.WaitUntil(lambda: self.hosts.keys() >= set(told_of), _HOSTS_S))
 
     def pump(self, timeout_s: float) -> None:
         """Handle events; waits up to `timeout_s` seconds for the first one, but never longer than WATCH_PERIOD_S."""
@@ -265,7 +265,7 @@ class Supervisor:
         self._beginning = found.inactive & (connected | wanted_to_run(self.environment))
         self._begin_s = self.now() + self._update_patience.follow_s
 
-    def _drive(self, commands: Generator[updates.Command, None, updates.CarriedOut]) -> updates.CarriedOut:
+    def _drive(self, update: Generator[commands.Command, None, updates.CarriedOut]) -> updates.CarriedOut:
         """Carry out an update. The first command that fails is thrown into it, so that all is undone.
 
         Failures during the undoing, or after Commit, are logged, and the other commands are carried out.
@@ -276,16 +276,16 @@ class Supervisor:
             while True:
                 if fault is not None and may_be_undone:
                     may_be_undone = False
-                    command = commands.throw(fault)
+                    command = update.throw(fault)
                 else:
-                    command = next(commands)
-                may_be_undone = may_be_undone and not isinstance(command, updates.Commit)
+                    command = next(update)
+                may_be_undone = may_be_undone and not isinstance(command, commands.Commit)
                 fault = self._fault_of(command, may_be_undone=may_be_undone)
         except StopIteration as end:
             carried: updates.CarriedOut = end.value
             return carried
 
-    def _fault_of(self, command: updates.Command, *, may_be_undone: bool) -> Exception | None:
+    def _fault_of(self, command: commands.Command, *, may_be_undone: bool) -> Exception | None:
         """Carry out a command of an update. Returns its exception; only the end of the runtime is raised."""
         try:
             self._obey(command)
@@ -297,55 +297,55 @@ class Supervisor:
             return error
         return None
 
-    def _obey(self, command: updates.Command) -> None:
+    def _obey(self, command: commands.Command) -> None:
         match command:
-            case updates.OpenTopic(topic, host):
+            case commands.OpenTopic(topic, host):
                 self.topics[topic] = host
                 self.backend.open_outlet(topic, host)
-            case updates.CloseTopic(topic):
+            case commands.CloseTopic(topic):
                 self.topics.pop(topic, None)
                 self.backend.close_outlet(topic)
-            case updates.StartUnit(unit, transformation):
+            case commands.StartUnit(unit, transformation):
                 self._start(unit, transformation)
-            case updates.ActivateUnit(unit_id):
+            case commands.ActivateUnit(unit_id):
                 self._activate(unit_id)
-            case updates.DeactivateUnit(unit_id):
+            case commands.DeactivateUnit(unit_id):
                 self.inactive.add(unit_id)
                 self.backend.deactivate(unit_id)
-            case updates.HoldUnit(unit_id):
+            case commands.HoldUnit(unit_id):
                 self.backend.hold(unit_id)
-            case updates.AskPlaces(unit_id, begun):
+            case commands.AskPlaces(unit_id, begun):
                 self._answers.pop(unit_id, None)
                 self.backend.ask_places(unit_id, begun)
-            case updates.AskState(unit_id, until, successor):
+            case commands.AskState(unit_id, until, successor):
                 self._answers.pop(unit_id, None)
                 self.backend.ask_state(unit_id, until, successor)
-            case updates.GiveState(unit_id, state, inputs):
+            case commands.GiveState(unit_id, state, inputs):
                 if state is None and unit_id in self._library:  # it has not died meanwhile
                     state = self._states.get(self._library[unit_id].state_name or "")
                 self.backend.give_state(unit_id, state, inputs)
-            case updates.TellOf(event):
+            case commands.TellOf(event):
                 self._report(event)
-            case updates.StopUnit(unit_id):
+            case commands.StopUnit(unit_id):
                 self.wiring.forget_inputs(unit_id)
                 self.backend.stop(unit_id)
-            case updates.EndUnit(unit_id):
+            case commands.EndUnit(unit_id):
                 self.backend.kill(unit_id)
-            case updates.StopAgain(unit_id):
+            case commands.StopAgain(unit_id):
                 self.backend.stop(unit_id)
-            case updates.CutShort(unit_id, after_s):
+            case commands.CutShort(unit_id, after_s):
                 self._cut_short(unit_id, after_s)
-            case updates.Dump(unit_id):
+            case commands.Dump(unit_id):
                 self.backend.kill(unit_id, dump=True)
-            case updates.Connect(stream, inlet):
+            case commands.Connect(stream, inlet):
                 self.wiring.connect(stream, inlet, self._library.get(inlet.unit))
-            case updates.Disconnect(inlet):
+            case commands.Disconnect(inlet):
                 self.wiring.disconnect(inlet)
-            case updates.SwitchNow(inlet):
+            case commands.SwitchNow(inlet):
                 self.backend.switch_now(inlet)
-            case updates.SetEnvironment(environment):
+            case commands.SetEnvironment(environment):
                 self.environment = environment
-            case updates.WaitUntil():
+            case commands.WaitUntil():
                 self._wait(command)
 
     @property
@@ -380,7 +380,7 @@ class Supervisor:
             self._report(events.UnitCutShort(unit, after_s, self._records[unit].waiting))
         self.backend.kill(unit)
 
-    def _wait(self, until: updates.WaitUntil) -> None:
+    def _wait(self, until: commands.WaitUntil) -> None:
         deadline = self.now() + until.patience_s
         while not until.holds() and self.now() < deadline:
             if self.is_ending:
