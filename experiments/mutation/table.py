@@ -423,11 +423,16 @@ JUDGE = _room(
     ("company on another host starts a spare", "rewiring.py", "if not need.is_local or ", "if True or "),
     (
         "an input may take its own unit's stream at `all`",
-        "counts.py",
+        "environments.py",
         "if any(stream.unit == unit.id for",
         "if any(False for",
     ),
-    ("an input takes several streams of one unit", "counts.py", "if port.count > 1 and len(", "if False and len("),
+    (
+        "an input takes several streams of one unit",
+        "environments.py",
+        "if port.count > 1 and len(",
+        "if False and len(",
+    ),
     ("an optional input closes a cycle", "counts.py", "stream.unit not in barred", "True"),
     (
         "what takes all closes cycles after a failure",
