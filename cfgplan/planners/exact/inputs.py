@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
@@ -258,7 +257,7 @@ def _cycles(checked: CheckedUnits) -> Iterator[str]:
         for unit in checked.hot.values()
     }
     readers = grouped((feeder, unit_id) for unit_id, feeders in waits_for.items() for feeder in feeders)
-    fed = Counter({unit_id: len(feeders) for unit_id, feeders in waits_for.items()})
+    fed = {unit_id: len(feeders) for unit_id, feeders in waits_for.items()}
     ahead = [unit_id for unit_id, number in fed.items() if not number]
     for unit_id in ahead:
         for reader in readers.get(unit_id, ()):
