@@ -317,7 +317,7 @@ def problem(
 
 def refuse_circles(world: World, similarity: Similarity) -> None:
     """Raise InputError if a transformation requires a fact that it observes, or whose observer it feeds."""
-    found = circles(world.environment, similarity)
+    found = circles(world.environment, similarity) if world.environment.facts else ()
     if faults := [_fault_of_circle(circle, world.file) for circle in found]:
         raise InputError(faults)
 

@@ -120,7 +120,8 @@ def _solve(options: argparse.Namespace, screen: Screen, task: shared.Task) -> Ex
     if options.out:
         api.write_file(Path(options.out), document.encode())
     if not screen.json:
-        unfed = answers.unfed_pinned(world, problem, **task.reasoning) if plan.change_set is not None else {}
+        is_reasoned = plan.change_set is not None and bool(plan.reasons)
+        unfed = answers.unfed_pinned(world, problem, **task.reasoning) if is_reasoned else {}
         for unit, why in unfed.items():
             from cfgplan.cli.explain import pinned_lines
 
