@@ -415,6 +415,12 @@ JUDGE = _room(
         "",
     ),
     ("a link bears anything", "hosts.py", "carried > link.bandwidth:", "carried < 0:"),
+    (
+        "links are judged only where more than the cost is minimised",
+        "environments.py",
+        "link_violations(judged.environment), frozenset({Feature.HOSTS})",
+        "link_violations(judged.environment), frozenset({Feature.ORDER})",
+    ),
     ("energy never ends", "hosts.py", "energy > host.energy:", "False:"),
     ("too many units are on one host", "hosts.py", "is not None and number > most:", "is not None and number < 0:"),
     ("what is left serves any number", "rewiring.py", "wiring.taken[stream] > most:", "False:"),

@@ -83,10 +83,11 @@ def is_well_wired(problem: Problem, label_of: Callable[[str], str | None], unit:
     for port in transformation.inputs:
         streams = feeds.get(port.name, ())
         fed += bool(streams)
-        if not port.takes(len(streams)) or (port.count == ALL and any(stream.unit == unit.id for stream in streams)):
-            return False
-        if port.count > 1 and len({stream.unit for stream in streams}) < len(streams):
-            return False
+        if len(streams) != 1 or port.count != 1:
+            feeding = {stream.unit for stream in streams}
+            is_odd = unit.id in feeding if port.count == ALL else port.count > 1 and len(feeding) < len(streams)
+            if is_odd or not port.takes(len(streams)):
+                return False
         for stream in streams:
             label = label_of(stream.unit)
             output = None if label is None else environment.transformation[label].output.get(stream.port)
