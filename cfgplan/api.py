@@ -23,7 +23,6 @@ from cfgplan.domain import ENVIRONMENT_HEADS, Environment, Similarity, environme
 from cfgplan.errors import Fault, InputError, UnknownNameError, known
 from cfgplan.extras import is_there
 from cfgplan.matching import REASONERS, Ontology
-from cfgplan.observers import Circle, circles
 from cfgplan.planners import PLANNERS, planner_of
 from cfgplan.planners.undecided import Deciding
 from cfgplan.planning import Decider, Failures, Plan, Planner, PlannerFaultError, Problem, Progress
@@ -35,6 +34,7 @@ if TYPE_CHECKING:
     from cfgplan.formats.document import Document
     from cfgplan.formats.environment_file import EnvironmentFile
     from cfgplan.matching import Matches, MatchExplanation, Matching, Nearest, Suggestion
+    from cfgplan.observers import Circle
 
 PLANNER_NAMES = tuple(PLANNERS)
 REASONER_NAMES = tuple(REASONERS)
@@ -317,8 +317,11 @@ def problem(
 
 def refuse_circles(world: World, similarity: Similarity) -> None:
     """Raise InputError if a transformation requires a fact that it observes, or whose observer it feeds."""
-    found = circles(world.environment, similarity)
-    if faults := [_fault_of_circle(circle, world.file) for circle in found]:
+    if not world.environment.facts:
+        return
+    from cfgplan.observers import circles
+
+    if faults := [_fault_of_circle(circle, world.file) for circle in circles(world.environment, similarity)]:
         raise InputError(faults)
 
 

@@ -33,7 +33,7 @@ from cfgplan.qualities import (
     units,
 )
 from cfgplan.rows import ALL as ALL
-from cfgplan.rows import ELEMENT, FOUND, Feature, Row, Use
+from cfgplan.rows import ELEMENT, FOUND, Feature, Row, Use, features
 from cfgplan.similarity import Similarity as Similarity
 from cfgplan.summary import Summary, counted, cpu, summarised, summary, tabled
 from cfgplan.targets import A_UNIT_OF as A_UNIT_OF
@@ -356,6 +356,19 @@ class Environment:
         vars(copy).update(vars(self), units=tuple(sorted(units, key=attrgetter("id"))))
         vars(copy).pop("unit", None)
         return copy
+
+    @cached_property
+    def features(self) -> frozenset[Feature]:
+        """The features beyond the paper of the library, targets and hosts; quality counts only if a target asks for it.
+
+        Running units are left out, so that the value holds for any units.
+        """
+        asked = features(Environment, [self]) | features(Target, self.targets)
+        asked = asked.union(*{transformation.features for transformation in self.library})
+        if not self.links:
+            return asked
+        wished = {wish.attribute for target in self.targets for wish in target.quality}
+        return asked.union([Feature.LATENCY] if any(link.adds in wished for link in self.links) else ())
 
     @cached_property
     def outputs(self) -> Mapping[str, str]:

@@ -15,6 +15,8 @@ def exports(package: str, homes: Mapping[str, str]) -> tuple[list[str], Callable
     def get(name: str) -> Any:
         if name not in home_of:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        return getattr(import_module(f"{package}.{home_of[name]}"), name)
+        value = getattr(import_module(f"{package}.{home_of[name]}"), name)
+        setattr(sys.modules[package], name, value)  # so that later uses do not come here
+        return value
 
     return sorted(home_of), get, lambda: sorted({*vars(sys.modules[package]), *home_of})

@@ -67,21 +67,29 @@ def cost_parts(problem: Problem, units: Collection[ComputationUnit]) -> CostPart
     environment, horizon_s = problem.environment, problem.horizon_s
     library, place_of = environment.transformation, environment.place_of
     hot = [unit for unit in units if not unit.standby]
-    prices = 0
-    if any(target.quality for target in environment.targets):
-        reached = qualities_of_targets(environment, units)
-        for target in environment.targets:
-            for wish in target.quality if target.label in reached else ():
-                attribute = environment.quality[wish.attribute]
-                prices += price_us(attribute, wish, reached[target.label][wish.attribute])
+    labor = sum([labor_us(library[u.transformation], place_of(u)) for u in hot if u.id not in environment.unit])
+    upkeep = sum([keep_cost_us(library[u.transformation], horizon_s, place_of(u)) for u in hot])
+    if problem.is_plain:
+        return CostParts(labor, upkeep)
     return CostParts(
-        sum(labor_us(library[u.transformation], place_of(u)) for u in hot if u.id not in environment.unit),
-        sum(keep_cost_us(library[u.transformation], horizon_s, place_of(u)) for u in hot),
+        labor,
+        upkeep,
         sum(standby_cost_us(library[u.transformation], horizon_s, place_of(u)) for u in units if u.standby),
         sum(transfer.cost_us for transfer in transfers(problem, units)),
-        prices,
+        _prices_us(environment, units),
         sum(host.rent_us for host in used_hosts(environment, units)) * horizon_s,
         sum(port.worth_us for unit in hot for port in _unfed(library[unit.transformation], unit)) * horizon_s,
+    )
+
+
+def _prices_us(environment: Environment, units: Collection[ComputationUnit]) -> int:
+    """The prices that targets set on the quality of their streams."""
+    wishes = [(target.label, wish) for target in environment.targets for wish in target.quality]
+    reached = qualities_of_targets(environment, units) if wishes else {}
+    return sum(
+        price_us(environment.quality[wish.attribute], wish, reached[label][wish.attribute])
+        for label, wish in wishes
+        if label in reached
     )
 
 

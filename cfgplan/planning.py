@@ -19,7 +19,6 @@ from cfgplan.domain import (
     Environment,
     Objective,
     Similarity,
-    Target,
     Transformation,
     change_rows,
     changes_in_words,
@@ -78,14 +77,9 @@ class Problem:
 
     @cached_property
     def features(self) -> frozenset[Feature]:
-        """The features of the problem beyond the paper; quality counts only if a target asks for it."""
-        environment = self.environment
-        asked = features(Problem, [self]) | features(Environment, [environment])
-        asked |= features(ComputationUnit, environment.units) | features(Target, environment.targets)
-        asked = asked.union(*{transformation.features for transformation in environment.library})
-        wished = {wish.attribute for target in environment.targets for wish in target.quality}
-        late = [Feature.LATENCY] if any(link.adds in wished for link in environment.links) else []
-        return asked.union(late)
+        """The features of the problem beyond the paper; see `Environment.features`."""
+        of_units = features(ComputationUnit, self.environment.units)
+        return features(Problem, [self]) | of_units | self.environment.features
 
     @property
     def is_plain(self) -> bool:

@@ -24,16 +24,6 @@ if TYPE_CHECKING:
 _MOST_NAMED_AT_A_POINT = 2
 
 
-def add_front(parser: argparse._MutuallyExclusiveGroup) -> None:
-    parser.add_argument(
-        "--front",
-        nargs="?",
-        const="",
-        metavar="TARGET:ATTRIBUTE",
-        help="list what each better quality of a target's stream costs; leave the value out if only one is possible",
-    )
-
-
 def show_front(options: argparse.Namespace, screen: Screen, task: shared.Task) -> Exit:
     """Compute the front and show it; exit code 0 only if it is complete."""
     from cfgplan import answers

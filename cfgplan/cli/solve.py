@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import OF_STATUS, Exit, exit_of
-from cfgplan.cli.front import add_front, show_front
 from cfgplan.cli.idle_words import idle_words
 from cfgplan.cli.plan_text import cpu, verdict
 from cfgplan.cli.screen import Screen, blamed, counted
@@ -51,7 +50,13 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         metavar="K",
         help="show the K best plans that differ in which transformations run",
     )
-    add_front(also)
+    also.add_argument(
+        "--front",
+        nargs="?",
+        const="",
+        metavar="TARGET:ATTRIBUTE",
+        help="list what each better quality of a target's stream costs; leave the value out if only one is possible",
+    )
     also.add_argument(
         "--best-effort",
         action="store_true",
@@ -81,6 +86,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     task = shared.task(options, screen)
     try:
         if options.front is not None:
+            from cfgplan.cli.front import show_front
+
             return show_front(options, screen, task)
         if options.alternatives:
             return _alternatives(options, screen, task)
@@ -120,7 +127,8 @@ def _solve(options: argparse.Namespace, screen: Screen, task: shared.Task) -> Ex
     if options.out:
         api.write_file(Path(options.out), document.encode())
     if not screen.json:
-        unfed = answers.unfed_pinned(world, problem, **task.reasoning) if plan.change_set is not None else {}
+        is_reasoned = plan.change_set is not None and bool(plan.reasons)
+        unfed = answers.unfed_pinned(world, problem, **task.reasoning) if is_reasoned else {}
         for unit, why in unfed.items():
             from cfgplan.cli.explain import pinned_lines
 

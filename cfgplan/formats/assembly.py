@@ -366,7 +366,7 @@ def _build(document: Document, vocabulary: TagVocabulary) -> EnvironmentFile:
             _check_labels(entry.at("run"), [part.run], library, left_out)
         if is_new:
             targets[part.label] = Target(**{**part.values(), "quality": fleet.wishes(entry.at("quality"), part)})
-    for fact in variables(fleet.facts.values(), fleet.hosts):
+    for fact in variables(fleet.facts.values(), fleet.hosts) if fleet.facts else ():
         entry = Passage(document.files[0].source, ("facts", fact.name), faults)
         names.is_new("fact", fact.key, entry, "of" if fact.host else "declared")
         if (wanted := observing(fact)) is not None:

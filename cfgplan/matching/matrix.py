@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, TypeVar
 from cfgplan.canonical import normal
 from cfgplan.domain import Similarity
 from cfgplan.errors import UnknownNameError
-from cfgplan.matching.answer import Matching
-from cfgplan.matching.cache import key_of, load, store
+from cfgplan.matching.answer import Matching, key_of, load, store
 from cfgplan.matching.faults import ReasonerTimeoutError
 from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.syntax import parse_tag

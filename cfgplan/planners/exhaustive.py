@@ -29,7 +29,7 @@ from cfgplan.planning import Feature, Measured, OnProgress, Plan, Problem, Progr
 from cfgplan.validity.counts import unfed_us
 from cfgplan.validity.environments import each_violation, instance_violations, missing_units
 from cfgplan.validity.hosts import carried_us, company_violations, placing_violations
-from cfgplan.validity.plans import cost_us, unused_required, values_beside_cost
+from cfgplan.validity.plans import cost_us, unused_required, values_of
 from cfgplan.validity.quality import priced_us
 from cfgplan.validity.startable import providers_by_tag, startable
 from cfgplan.validity.survival import justified_spares, survival_violations
@@ -254,7 +254,8 @@ def _first(problem: Problem, after: Environment, dear_us: int, rewired: int) -> 
     """The leading objectives of a configuration with this cost and number of rewired units."""
     if Feature.ORDER not in problem.features:
         return ()
-    values = {**values_beside_cost(problem, after), Objective.COST: dear_us, Objective.REWIRED: rewired}
+    beside = values_of(problem, after, set(problem.environment.minimise) - {Objective.COST, Objective.REWIRED})
+    values = {**beside, Objective.COST: dear_us, Objective.REWIRED: rewired}
     is_too_dear = problem.max_cost_us is not None and dear_us > problem.max_cost_us
     return int(is_too_dear), *(values[each] for each in problem.environment.minimise)
 

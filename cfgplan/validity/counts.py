@@ -1,38 +1,18 @@
-"""Rules of inputs: the number of their streams, and the price of unfed optional ones."""
+"""Rules of optional inputs, which may stay unfed at a price, and of outputs that serve only so many."""
 
 from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 
-from cfgplan.domain import ALL, ComputationUnit, Environment, InputPort, Similarity, Stream, Transformation
-from cfgplan.validity.facts import known_units
+from cfgplan.domain import ALL, ComputationUnit, Environment, InputPort, Similarity, Stream
+from cfgplan.validity.facts import known_units, offers, running_inputs
 from cfgplan.validity.rules import Rule, Violation
-
-
-def count_violations(environment: Environment, similarity: Similarity) -> Iterator[Violation]:
-    """Yield each input that has too few or too many streams, several of one unit, or not all that it must take."""
-    for unit, port in _ports(environment):
-        streams = unit.feeds.get(port.name, ())
-        where, number = f"input {port.name} of unit {unit.id}", len(streams)
-        if port.count == ALL:
-            offered = {stream for stream, _ in _offers(environment, similarity, port) if stream.unit != unit.id}
-            missed = sorted(offered.difference(streams))
-            if any(stream.unit == unit.id for stream in streams):
-                yield Violation(Rule.FED, f"{where} takes the streams of other units, not its own", unit.id, port.name)
-            if missed:
-                yield Violation(Rule.FED, f"{where} takes all that matches, but not {missed[0]}", unit.id, port.name)
-        elif number and number != port.count:
-            counted = "one stream" if port.count == 1 else f"{port.count} streams"
-            text = f"{where} takes {counted}, but has {number}: {', '.join(map(str, streams))}"
-            yield Violation(Rule.FED, text, unit.id, port.name)
-        if port.count > 1 and len({stream.unit for stream in streams}) < number:
-            yield Violation(Rule.FED, f"{where} takes streams of different units", unit.id, port.name)
 
 
 def unfed_violations(environment: Environment, similarity: Similarity) -> Iterator[Violation]:
     """Yield each optional input that is not fed although running units could feed it at no cost."""
-    for unit, port in _ports(environment):
+    for unit, port in running_inputs(environment):
         if port.starts_nothing and port.count != ALL and port.name not in unit.feeds:
             free = _free(environment, similarity, unit, port)
             if len(free) >= port.count:
@@ -65,25 +45,8 @@ def _left_to_serve(environment: Environment) -> dict[Stream, int]:
 
 def unfed_us(environment: Environment, horizon_s: int) -> int:
     """The price of the unfed optional inputs, in microseconds."""
-    unfed = (port for unit, port in _ports(environment) if port.optional and port.name not in unit.feeds)
+    unfed = (port for unit, port in running_inputs(environment) if port.optional and port.name not in unit.feeds)
     return sum(port.worth_us for port in unfed) * horizon_s
-
-
-def _ports(environment: Environment) -> Iterator[tuple[ComputationUnit, InputPort]]:
-    """The inputs of the units that run."""
-    for unit, transformation in known_units(environment):
-        for port in transformation.inputs if not unit.standby else ():
-            yield unit, port
-
-
-def _offers(
-    environment: Environment, similarity: Similarity, port: InputPort
-) -> Iterator[tuple[Stream, Transformation]]:
-    """The streams of running units that match an input, with the units' transformations."""
-    for other, transformation in known_units(environment):
-        for output in transformation.outputs if not other.standby else ():
-            if similarity.holds(output.tag, port.tag):
-                yield Stream(other.id, output.name), transformation
 
 
 def _free(
@@ -96,7 +59,7 @@ def _free(
     barred = set() if port.feedback else _downstream(environment, unit)
     left = _left_to_serve(environment)
     found: dict[str, Stream] = {}
-    for stream, feeder in _offers(environment, similarity, port):
+    for stream, feeder in offers(environment, similarity, port):
         if (
             stream.unit not in barred
             and left.get(stream, 1) > 0

@@ -3,18 +3,38 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from graphlib import CycleError, TopologicalSorter
+from typing import Final, NamedTuple
 
 from cfgplan.arguments import Natural
-from cfgplan.domain import Environment, Similarity, Stream
-from cfgplan.planning import Failures
-from cfgplan.validity.counts import count_violations, serving_violations, unfed_violations
-from cfgplan.validity.facts import company_of, known_units, meeting_targets, needed_by, tag_of
+from cfgplan.domain import ALL, Environment, Similarity, Stream
+from cfgplan.planning import Failures, Feature
+from cfgplan.validity.counts import serving_violations, unfed_violations
+from cfgplan.validity.facts import (
+    company_of,
+    known_units,
+    meeting_targets,
+    needed_by,
+    offers,
+    running_inputs,
+    tag_of,
+)
 from cfgplan.validity.hosts import company_violations, link_violations, placing_violations
 from cfgplan.validity.quality import quality_violations
 from cfgplan.validity.rules import Rule, Violation
 from cfgplan.validity.survival import justified_spares, survival_violations
+
+
+class _Judged(NamedTuple):
+    """A configuration that is judged, with the other arguments of `violations`."""
+
+    environment: Environment
+    similarity: Similarity
+    survive: Failures | None
+    horizon_s: int
+    spares: Collection[str]
+    before: Environment
 
 
 def violations(
@@ -46,22 +66,12 @@ def each_violation(
     """Yield the violations that `violations` lists, rule by rule; a caller that stops at the first one leaves the other
     rules unchecked.
     """
-    yield from _unknown_transformations(environment)
-    yield from _bad_subscriptions(environment, similarity)
-    yield from _bad_publications(environment, similarity)
-    yield from missing_units(environment)
-    yield from count_violations(environment, similarity)
-    yield from unfed_violations(environment, similarity)
-    yield from serving_violations(environment)
-    yield from _cycles(environment)
-    yield from _indistinct_feeds(environment)
-    yield from quality_violations(environment)
-    yield from placing_violations(environment, horizon_s)
-    yield from company_violations(environment)
-    yield from link_violations(environment)
-    yield from instance_violations(environment)
-    yield from survival_violations(environment, similarity, survive)
-    yield from _needless_units(environment, similarity, survive, spares, environment if before is None else before)
+    before = environment if before is None else before
+    judged = _Judged(environment, similarity, survive, horizon_s, spares, before)
+    asked = environment.features if survive is None else environment.features | {Feature.SURVIVAL}
+    for find, features in _CHECKS:
+        if not features or not features.isdisjoint(asked):
+            yield from find(judged)
 
 
 def _unknown_transformations(environment: Environment) -> Iterator[Violation]:
@@ -134,6 +144,26 @@ def _unfit(stream: Stream, offered: str, *, is_open: bool) -> str:
     return f"and it is undecided whether this matches: {gives}" if is_open else f"but {gives}"
 
 
+def _bad_counts(environment: Environment, similarity: Similarity) -> Iterator[Violation]:
+    """Yield each input that has too few or too many streams, several of one unit, or not all that it must take."""
+    for unit, port in running_inputs(environment):
+        streams = unit.feeds.get(port.name, ())
+        where, number = f"input {port.name} of unit {unit.id}", len(streams)
+        if port.count == ALL:
+            offered = {stream for stream, _ in offers(environment, similarity, port) if stream.unit != unit.id}
+            missed = sorted(offered.difference(streams))
+            if any(stream.unit == unit.id for stream in streams):
+                yield Violation(Rule.FED, f"{where} takes the streams of other units, not its own", unit.id, port.name)
+            if missed:
+                yield Violation(Rule.FED, f"{where} takes all that matches, but not {missed[0]}", unit.id, port.name)
+        elif number and number != port.count:
+            counted = "one stream" if port.count == 1 else f"{port.count} streams"
+            text = f"{where} takes {counted}, but has {number}: {', '.join(map(str, streams))}"
+            yield Violation(Rule.FED, text, unit.id, port.name)
+        if port.count > 1 and len({stream.unit for stream in streams}) < number:
+            yield Violation(Rule.FED, f"{where} takes streams of different units", unit.id, port.name)
+
+
 def _cycles(environment: Environment) -> Iterator[Violation]:
     sorter: TopologicalSorter[str] = TopologicalSorter()
     for unit, transformation in known_units(environment):
@@ -161,13 +191,8 @@ def _indistinct_feeds(environment: Environment) -> Iterator[Violation]:
                 yield Violation(Rule.DISTINCT, text, unit.id, ports[0])
 
 
-def _needless_units(
-    environment: Environment,
-    similarity: Similarity,
-    survive: Failures | None,
-    spares: Collection[str],
-    before: Environment,
-) -> Iterator[Violation]:
+def _needless_units(judged: _Judged) -> Iterator[Violation]:
+    environment, similarity, survive, _, spares, before = judged
     pinned = {
         unit.id for unit, transformation in known_units(environment) if transformation.pinned and not unit.standby
     }
@@ -219,3 +244,33 @@ def _running(environment: Environment) -> dict[str, list[str]]:
         if not unit.standby:
             running[unit.transformation].append(unit.id)
     return running
+
+
+_ALWAYS: Final = frozenset[Feature]()
+_CHECKS: Final[tuple[tuple[Callable[[_Judged], Iterator[Violation]], frozenset[Feature]], ...]] = (
+    (lambda judged: _unknown_transformations(judged.environment), _ALWAYS),
+    (lambda judged: _bad_subscriptions(judged.environment, judged.similarity), _ALWAYS),
+    (lambda judged: _bad_publications(judged.environment, judged.similarity), _ALWAYS),
+    (lambda judged: missing_units(judged.environment), frozenset({Feature.RUNS})),
+    (lambda judged: _bad_counts(judged.environment, judged.similarity), _ALWAYS),
+    (lambda judged: unfed_violations(judged.environment, judged.similarity), frozenset({Feature.OPTIONAL})),
+    (lambda judged: serving_violations(judged.environment), frozenset({Feature.LIMITS})),
+    (lambda judged: _cycles(judged.environment), _ALWAYS),
+    (lambda judged: _indistinct_feeds(judged.environment), _ALWAYS),
+    (lambda judged: quality_violations(judged.environment), frozenset({Feature.QUALITY})),
+    (lambda judged: placing_violations(judged.environment, judged.horizon_s), frozenset({Feature.HOSTS})),
+    (
+        lambda judged: company_violations(judged.environment),
+        frozenset({Feature.BESIDE, Feature.INSTANCES, Feature.CONFLICTS}),
+    ),
+    (lambda judged: link_violations(judged.environment), frozenset({Feature.HOSTS})),
+    (lambda judged: instance_violations(judged.environment), frozenset({Feature.INSTANCES, Feature.CONFLICTS})),
+    (
+        lambda judged: survival_violations(judged.environment, judged.similarity, judged.survive),
+        frozenset({Feature.SURVIVAL}),
+    ),
+    (_needless_units, _ALWAYS),
+)
+"""Each rule, in order, and the features that it is about: without them nothing can break it. _ALWAYS has none: the rule
+holds for all environments.
+"""

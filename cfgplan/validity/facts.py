@@ -1,17 +1,48 @@
-"""Facts that the judge derives from an environment: known units, tags of streams, needed units."""
+"""Facts that the judge derives from an environment: known units, their inputs and costs, streams, needed units."""
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping
 
-from cfgplan.domain import ComputationUnit, Environment, Stream, Transformation
+from cfgplan.domain import ComputationUnit, Environment, InputPort, Similarity, Stream, Transformation
 
 
 def known_units(environment: Environment) -> Iterator[tuple[ComputationUnit, Transformation]]:
     for unit in environment.units:
         if unit.transformation in environment.transformation:
             yield unit, environment.transformation[unit.transformation]
+
+
+def running_inputs(environment: Environment) -> Iterator[tuple[ComputationUnit, InputPort]]:
+    """Yield the inputs of the units that run."""
+    for unit, transformation in known_units(environment):
+        for port in transformation.inputs if not unit.standby else ():
+            yield unit, port
+
+
+def offers(
+    environment: Environment, similarity: Similarity, port: InputPort
+) -> Iterator[tuple[Stream, Transformation]]:
+    """Yield the streams of running units that match an input, with the units' transformations."""
+    for other, transformation in known_units(environment):
+        for output in transformation.outputs if not other.standby else ():
+            if similarity.holds(output.tag, port.tag):
+                yield Stream(other.id, output.name), transformation
+
+
+def costs_there(
+    environment: Environment, unit: ComputationUnit, transformation: Transformation
+) -> tuple[int, int, int]:
+    """Return a unit's labor, upkeep and standby on its host, in microseconds: as seen there, else divided by
+    its speed.
+    """
+    costs = (transformation.labor_us, transformation.upkeep_us, transformation.standby_us or 0)
+    host = environment.host.get(unit.host or "")
+    if host is None:
+        return costs
+    labor_us, upkeep_us, standby_us = (-(-cost * 10**6 // host.speed) for cost in costs)
+    return (*transformation.seen_us.get(host.name, (labor_us, upkeep_us)), standby_us)
 
 
 def tag_of(environment: Environment, stream: Stream) -> str | None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 
-from cfgplan.domain import CPU, POWER, ComputationUnit, Environment, Link, Transformation, amount_of
+from cfgplan.domain import CPU, POWER, Environment, Link, amount_of
+from cfgplan.validity.facts import costs_there as costs_there
 from cfgplan.validity.facts import known_units
 from cfgplan.validity.rules import Rule, Violation
 
@@ -78,20 +79,6 @@ def company_violations(environment: Environment) -> Iterator[Violation]:
             if number > most:
                 those = f"{number} units of {transformation.label} are on {text}"
                 yield Violation(Rule.INSTANCES, f"{those}, but at most {most} may run on {text}")
-
-
-def costs_there(
-    environment: Environment, unit: ComputationUnit, transformation: Transformation
-) -> tuple[int, int, int]:
-    """Return a unit's labor, upkeep and standby on its host, in microseconds: as seen there, else divided by
-    its speed.
-    """
-    costs = (transformation.labor_us, transformation.upkeep_us, transformation.standby_us or 0)
-    host = environment.host.get(unit.host or "")
-    if host is None:
-        return costs
-    labor_us, upkeep_us, standby_us = (-(-cost * 10**6 // host.speed) for cost in costs)
-    return (*transformation.seen_us.get(host.name, (labor_us, upkeep_us)), standby_us)
 
 
 def rents_us(environment: Environment) -> int:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
+from typing import Final
 
 from cfgplan.domain import ComputationUnit, Environment, Objective, Transformation
 from cfgplan.errors import InvalidValueError
 from cfgplan.planning import Feature, Measured, Plan, Problem, Status
 from cfgplan.validity.counts import unfed_us
 from cfgplan.validity.environments import violations
-from cfgplan.validity.facts import known_units, meeting_targets, needed_by
-from cfgplan.validity.hosts import carried_us, costs_there, rents_us
+from cfgplan.validity.facts import costs_there, known_units, meeting_targets, needed_by
+from cfgplan.validity.hosts import carried_us, rents_us
 from cfgplan.validity.quality import priced_us
 from cfgplan.validity.rules import Rule, Violation
 from cfgplan.validity.startable import providers_by_tag, startable
@@ -142,7 +143,8 @@ def _refuted_by_running_units(problem: Problem, plan: Plan) -> Iterator[Violatio
         return
     if _unknown_spares(before):
         return
-    values, more_unused = values_of(problem, before), len(unused_required(before)) - len(plan.unused_required)
+    values = values_of(problem, before, before.minimise)
+    more_unused = len(unused_required(before)) - len(plan.unused_required)
     if (
         Feature.ORDER in problem.features
         and problem.max_cost_us is not None
@@ -163,13 +165,21 @@ def _refuted_by_running_units(problem: Problem, plan: Plan) -> Iterator[Violatio
         yield Violation(Rule.BOUND, "the plan says that ties are proven, but what runs is as good without a change")
 
 
+_PRICES: Final[tuple[tuple[Callable[[Environment, int], int], Feature], ...]] = (
+    (carried_us, Feature.HOSTS),
+    (lambda environment, horizon_s: rents_us(environment) * horizon_s, Feature.HOSTS),
+    (lambda environment, _: priced_us(environment), Feature.QUALITY),
+    (unfed_us, Feature.OPTIONAL),
+)
+"""The parts of the cost beside labor and upkeep, each with the feature without which it is 0."""
+
+
 def kept_us(environment: Environment, horizon_s: int) -> int:
     """Return the cost of keeping the running configuration for `horizon_s`, in microseconds.
 
     Units of unknown transformations cost nothing.
     """
-    cost = carried_us(environment, horizon_s) + priced_us(environment) + rents_us(environment) * horizon_s
-    cost += unfed_us(environment, horizon_s)
+    cost = sum(price(environment, horizon_s) for price, feature in _PRICES if feature in environment.features)
     for unit, transformation in known_units(environment):
         _, upkeep_us, standby_us = costs_there(environment, unit, transformation)
         cost += (standby_us if unit.standby else upkeep_us) * horizon_s
@@ -183,22 +193,30 @@ def cost_us(problem: Problem, after: Environment) -> int:
     return kept_us(after, problem.horizon_s) + sum(costs_there(after, *known)[0] for known in new)
 
 
-def values_of(problem: Problem, after: Environment) -> Mapping[Objective, int]:
+def values_of(
+    problem: Problem, after: Environment, objectives: Iterable[Objective] = Objective
+) -> dict[Objective, int]:
     """The objectives' values of the update to an environment."""
-    return {**values_beside_cost(problem, after), Objective.COST: cost_us(problem, after)}
+    return {objective: _VALUES[objective](problem, after) for objective in objectives}
 
 
-def values_beside_cost(problem: Problem, after: Environment) -> dict[Objective, int]:
-    """The objectives' values of the update to an environment, without its cost."""
-    before = problem.environment.unit
+def _used_hosts(after: Environment) -> int:
     there = {unit.host for unit in after.units}
-    return {
-        Objective.RENT: rents_us(after) * problem.horizon_s,
-        Objective.UNITS: sum(not unit.standby for unit in after.units),
-        Objective.HOSTS: sum(host.name in there for host in after.hosts),
-        Objective.REWIRED: sum(unit.id in before and unit != before[unit.id] for unit in after.units),
-        Objective.STARTED: sum(unit.id not in before for unit in after.units),
-    }
+    return sum(host.name in there for host in after.hosts)
+
+
+def _rewired(before: Mapping[str, ComputationUnit], after: Environment) -> int:
+    return sum(unit.id in before and unit != before[unit.id] for unit in after.units)
+
+
+_VALUES: Final[Mapping[Objective, Callable[[Problem, Environment], int]]] = {
+    Objective.RENT: lambda problem, after: rents_us(after) * problem.horizon_s,
+    Objective.COST: cost_us,
+    Objective.UNITS: lambda _, after: sum(not unit.standby for unit in after.units),
+    Objective.HOSTS: lambda _, after: _used_hosts(after),
+    Objective.REWIRED: lambda problem, after: _rewired(problem.environment.unit, after),
+    Objective.STARTED: lambda problem, after: len(after.unit.keys() - problem.environment.unit.keys()),
+}
 
 
 def _bad_objectives(problem: Problem, plan: Plan, after: Environment) -> Iterator[Violation]:
@@ -206,7 +224,7 @@ def _bad_objectives(problem: Problem, plan: Plan, after: Environment) -> Iterato
     if tuple(one.objective for one in plan.objectives) != named:
         yield Violation(Rule.CONSISTENT, f"the objectives are {', '.join(named)}, but the plan names others")
         return
-    values = values_of(problem, after)
+    values = values_of(problem, after, named)
     for one in plan.objectives:
         value, cost = values[one.objective], Measured(Objective.COST, plan.cost_us or 0, plan.bound_us)
         if one.value != value or (one.objective is Objective.COST and one != cost):

@@ -415,6 +415,12 @@ JUDGE = _room(
         "",
     ),
     ("a link bears anything", "hosts.py", "carried > link.bandwidth:", "carried < 0:"),
+    (
+        "links are judged only where more than the cost is minimised",
+        "environments.py",
+        "link_violations(judged.environment), frozenset({Feature.HOSTS})",
+        "link_violations(judged.environment), frozenset({Feature.ORDER})",
+    ),
     ("energy never ends", "hosts.py", "energy > host.energy:", "False:"),
     ("too many units are on one host", "hosts.py", "is not None and number > most:", "is not None and number < 0:"),
     ("what is left serves any number", "rewiring.py", "wiring.taken[stream] > most:", "False:"),
@@ -423,11 +429,16 @@ JUDGE = _room(
     ("company on another host starts a spare", "rewiring.py", "if not need.is_local or ", "if True or "),
     (
         "an input may take its own unit's stream at `all`",
-        "counts.py",
+        "environments.py",
         "if any(stream.unit == unit.id for",
         "if any(False for",
     ),
-    ("an input takes several streams of one unit", "counts.py", "if port.count > 1 and len(", "if False and len("),
+    (
+        "an input takes several streams of one unit",
+        "environments.py",
+        "if port.count > 1 and len(",
+        "if False and len(",
+    ),
     ("an optional input closes a cycle", "counts.py", "stream.unit not in barred", "True"),
     (
         "what takes all closes cycles after a failure",

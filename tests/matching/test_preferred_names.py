@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import cfgplan
 from cfgplan.errors import InputError, TagError
 from cfgplan.matching import Ontology, instances, match
-from cfgplan.matching.cache import key_of
+from cfgplan.matching.answer import key_of
 from cfgplan.matching.names import NameTable
 from cfgplan.matching.syntax import parse_tag
 from cfgplan.planning import Status

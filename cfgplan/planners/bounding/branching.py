@@ -176,7 +176,7 @@ class _Node:
     def charge(self, members: tuple[int, ...], at_most: int = LEFT_OUT) -> int:
         """Charge a landmark with the least residual cost of its members, or with `at_most`. Returns that weight."""
         residual = self.residual
-        weight = min([at_most, *(residual[member] for member in members)])
+        weight = min(at_most, min([residual[member] for member in members], default=at_most))
         if weight:
             for member in members:
                 residual[member] -= weight

@@ -26,11 +26,9 @@ LARGEST_WEIGHT: Final = 2**31 - 1
 """The largest weight that clingo takes."""
 
 
-def prove_by_answer_sets(work: SolveRun) -> bool:
+def prove(work: SolveRun) -> bool:
     """Have clingo raise the bound for some conflicts, and for many if that brings it near the first plan."""
     network, clock, tuning = work.structure.network, work.clock, work.clock.tuning.cycles
-    if len(network.labels) < tuning.labels or network.special or work.memory.warm_start is not None:
-        return False
     weights = LexicographicWeights.with_changes(work.problem, network)
     if weights is None or not _is_fit(weights, tuning.values) or not is_there("clingo"):
         return False

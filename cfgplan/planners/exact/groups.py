@@ -73,7 +73,7 @@ def host_kinds(candidates: Candidates) -> list[HostKind]:
     firsts = [candidates.all[group[0]] for group in groups_of(candidates)]
     occupied = {host for first in firsts if first.running for host in first.hosts}
     environment, kinds = candidates.environment, defaultdict[object, list[HostKind]](list)
-    asked = [rule.trait for rule in RULES if rule.trait is not None and rule.is_asked(candidates.problem)]
+    asked = [rule.trait for rule in RULES if rule.trait is not None and rule.is_asked_by(candidates.problem.features)]
     for host in candidates.hosts:
         places = [(n, first.places.get(host.first)) for n, first in enumerate(firsts)]
         there = tuple((n, place.cost_us, *sorted(place.takes.items())) for n, place in places if place is not None)

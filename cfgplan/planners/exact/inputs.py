@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
@@ -253,12 +252,12 @@ def _badly_wired(checked: CheckedUnits) -> Iterator[str]:
 
 def _cycles(checked: CheckedUnits) -> Iterator[str]:
     """Units that do not all come after those that feed their ordinary inputs."""
-    waits_for = {
-        unit.id: {s.stream.unit for s in unit.subscriptions if not checked.kind(unit).input[s.port].feedback}
-        for unit in checked.hot.values()
-    }
+    waits_for: dict[str, set[str]] = {}
+    for unit in checked.hot.values():
+        feedback = [port.name for port in checked.kind(unit).inputs if port.feedback]
+        waits_for[unit.id] = {s.stream.unit for s in unit.subscriptions if s.port not in feedback}
     readers = grouped((feeder, unit_id) for unit_id, feeders in waits_for.items() for feeder in feeders)
-    fed = Counter({unit_id: len(feeders) for unit_id, feeders in waits_for.items()})
+    fed = {unit_id: len(feeders) for unit_id, feeders in waits_for.items()}
     ahead = [unit_id for unit_id, number in fed.items() if not number]
     for unit_id in ahead:
         for reader in readers.get(unit_id, ()):

@@ -196,13 +196,16 @@ def needed_units(
 ) -> set[str]:
     """The ids of the roots and of all units that they need, directly or through others."""
     by_id = {unit.id: unit for unit in units}
-    running = running_on(by_id.values()) if environment.companions else {}
+    starts = [root.id for root in roots]
+    if not environment.companions:
+        return set(reached(starts, lambda unit_id: needed_feeders(environment, by_id[unit_id])))
+    running = running_on(by_id.values())
 
     def needs(unit_id: str) -> set[str]:
         unit = by_id[unit_id]
         return needed_feeders(environment, unit) | _lone_company(environment, running, unit)
 
-    return set(reached([root.id for root in roots], needs))
+    return set(reached(starts, needs))
 
 
 def _lone_company(environment: Environment, running: Running, unit: ComputationUnit) -> set[str]:

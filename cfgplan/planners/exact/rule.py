@@ -142,9 +142,9 @@ class Rule:
 
     def __call__(self, model: Model) -> None:
         """Add the rule to a model, if its problem asks for it."""
-        if self.add is not None and self.is_asked(model.problem):
+        if self.add is not None and self.is_asked_by(model.problem.features):
             self.add(model)
 
-    def is_asked(self, problem: Problem) -> bool:
-        """Whether a problem asks for it."""
-        return self.feature is None or self.feature in problem.features
+    def is_asked_by(self, features: frozenset[Feature]) -> bool:
+        """Whether problems with these features ask for it."""
+        return self.feature is None or self.feature in features

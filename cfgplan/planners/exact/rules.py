@@ -7,16 +7,17 @@ checks the answer again, and shares no code with this room.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
+from functools import cache
 from typing import Final
 
 from cfgplan.domain import ComputationUnit
 from cfgplan.planners.exact import company, hosts, idle_inputs, inputs, quality, survivors, targets, units
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.pruning import needed_in_all
-from cfgplan.planners.exact.rule import CheckedUnits, HostLoads, Rule
+from cfgplan.planners.exact.rule import CheckedUnits, HostLoads, Lacks, Rule
 from cfgplan.planners.exact.survivors import survive_without
-from cfgplan.planning import Problem
+from cfgplan.planning import Feature, Problem
 
 RULES: Final[tuple[Rule, ...]] = (
     *units.STATES,
@@ -41,9 +42,21 @@ MAY_RUN_FOR_NOBODY: Final = frozenset(rule.feature for rule in RULES if rule.kee
 """With these features, units may be needed that feed nobody and meet no target."""
 
 
+@cache
+def _flaws_of(features: frozenset[Feature]) -> tuple[Callable[[CheckedUnits], Iterator[str]], ...]:
+    """The checks of the rules that problems with these features ask for."""
+    return tuple(rule.flaws for rule in RULES if rule.flaws is not None and rule.is_asked_by(features))
+
+
+@cache
+def _lacks_of(features: frozenset[Feature]) -> tuple[Lacks, ...]:
+    """What hosts may lack by the rules that problems with these features ask for."""
+    return tuple(rule.lacks for rule in RULES if rule.lacks is not None and rule.is_asked_by(features))
+
+
 def host_loads(problem: Problem) -> HostLoads:
     """Return empty hosts, on which units can be put as the rules that a problem asks for let them."""
-    return HostLoads(problem, [rule.lacks for rule in RULES if rule.lacks is not None and rule.is_asked(problem)])
+    return HostLoads(problem, _lacks_of(problem.features))
 
 
 def flaws(candidates: Candidates, units: Collection[ComputationUnit]) -> Iterator[str]:
@@ -52,9 +65,8 @@ def flaws(candidates: Candidates, units: Collection[ComputationUnit]) -> Iterato
     The candidates may be a part of all: the rules about units that must run are checked against the problem.
     """
     problem, checked = candidates.problem, CheckedUnits(candidates, units)
-    for rule in RULES:
-        if rule.flaws is not None and rule.is_asked(problem):
-            yield from rule.flaws(checked)
+    for flaws_of_rule in _flaws_of(problem.features):
+        yield from flaws_of_rule(checked)
     if problem.features:
         yield from _overloads(checked)
     if _has_needless_units(candidates, units):

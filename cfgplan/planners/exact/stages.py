@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Final
 from cfgplan.planners.bounding.branching import Branching
 from cfgplan.planners.bounding.contraction import cheapest_choice
 from cfgplan.planners.bounding.disjoint import disjoint_bound
-from cfgplan.planners.exact.answer_sets import prove_by_answer_sets
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.remaining import Remaining
 from cfgplan.planners.exact.solve_run import SolveRun, numbers
@@ -71,6 +70,17 @@ def use_all_required(work: SolveRun) -> bool:
         work.clock.end("bounds")
         work.search().run()
     return True
+
+
+def prove_by_answer_sets(work: SolveRun) -> bool:
+    """Have answer sets raise the bound of a large network whose inputs are neither distinct nor feedback inputs."""
+    network = work.structure.network
+    is_small = len(network.labels) < work.clock.tuning.cycles.labels
+    if is_small or network.special or work.memory.warm_start is not None:
+        return False
+    from cfgplan.planners.exact import answer_sets
+
+    return answer_sets.prove(work)
 
 
 def prove_by_parts(work: SolveRun) -> bool:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 from cfgplan.onward import grouped
 from cfgplan.planners.exact.candidates import Candidate, HostKind
 from cfgplan.planners.exact.rule import CheckedUnits, Rule
+from cfgplan.planning import Feature
 
 if TYPE_CHECKING:
     from ortools.sat.python.cp_model import IntVar
@@ -155,7 +156,8 @@ def _needs_are_shared(model: Model, units: list[int]) -> None:
 
 
 STATES: Final = (
-    Rule(a_unit_runs_or_waits_in_one_place, flaws=_misplaced, is_placed=True),
+    Rule(a_unit_runs_or_waits_in_one_place, is_placed=True),
+    Rule(None, Feature.HOSTS, _misplaced),
     Rule(a_group_runs_if_some_of_its_units_do),
     Rule(a_kept_unit_stays_or_is_rewired),
 )

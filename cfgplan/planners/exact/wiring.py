@@ -52,12 +52,12 @@ def named(candidates: Candidates, units: list[ComputationUnit]) -> list[Computat
 
 def in_order(environment: Environment, unit: ComputationUnit) -> ComputationUnit:
     """The unit with interchangeable inputs in a canonical order: streams that feed it now keep their inputs."""
-    now = environment.unit[unit.id].feeds if unit.id in environment.unit else {}
     ports = environment.transformation[unit.transformation].inputs
     distinct = [p for p in ports if p.distinct is not None and p.count == 1 and p.name in unit.feeds]
-    aggregated = grouped((replace(port, name=""), port.name) for port in distinct)
-    if not aggregated:
+    if not distinct:
         return unit
+    now = environment.unit[unit.id].feeds if unit.id in environment.unit else {}
+    aggregated = grouped((replace(port, name=""), port.name) for port in distinct)
     feeds = dict(unit.feeds)
     for names in aggregated.values():
         taken = {feeds[name] for name in names}

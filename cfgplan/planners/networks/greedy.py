@@ -164,7 +164,7 @@ def is_plan(network: Choosable, chosen: set[int], each: Each = iter) -> bool:
     """Whether the labels have a grounded wiring among themselves that meets the goal."""
     order = Reach(network.core, [*sorted(chosen), network.core.goal], each).order
     before: set[int] = set()
-    for label in order:
+    for label in order if network.special else ():
         if label in network.special and not network.special_inputs_are_fed(label, before, chosen):
             return False
         before.add(label)

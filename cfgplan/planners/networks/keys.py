@@ -25,22 +25,22 @@ class Key(NamedTuple):
 
 def key_of(problem: Problem, units: Collection[ComputationUnit]) -> Key:
     """How good a configuration is; its cost has transfers, spares and missed quality in it."""
-    changes = problem.environment.change_to(units)
-    parts = cost_parts(problem, units)
-    values = {
-        Objective.RENT: parts.rent_us,
-        Objective.COST: parts.total_us,
-        Objective.UNITS: sum(not unit.standby for unit in units),
-        Objective.HOSTS: len(used_hosts(problem.environment, units)),
-        Objective.REWIRED: len(changes.rewired),
-        Objective.STARTED: len(changes.started),
-    }
+    before, parts = problem.environment.unit, cost_parts(problem, units)
+    started = sum([unit.id not in before for unit in units])
+    rewired = sum([unit.id in before and unit != before[unit.id] for unit in units])
     first: tuple[int, ...] = ()
     if Feature.ORDER in problem.features:
+        values = {
+            Objective.RENT: parts.rent_us,
+            Objective.COST: parts.total_us,
+            Objective.UNITS: sum(not unit.standby for unit in units),
+            Objective.HOSTS: len(used_hosts(problem.environment, units)),
+            Objective.REWIRED: rewired,
+            Objective.STARTED: started,
+        }
         is_too_dear = problem.max_cost_us is not None and parts.total_us > problem.max_cost_us
         first = int(is_too_dear), *(values[each] for each in problem.environment.minimise)
-    unused = len(unused_required(problem, units))
-    return Key(unused, first, parts.total_us, len(changes.rewired), len(changes.started))
+    return Key(len(unused_required(problem, units)), first, parts.total_us, rewired, started)
 
 
 def unused_required(problem: Problem, units: Collection[ComputationUnit]) -> tuple[str, ...]:
@@ -78,15 +78,16 @@ def is_well_wired(problem: Problem, label_of: Callable[[str], str | None], unit:
     """
     environment, holds = problem.environment, problem.similarity.holds
     transformation = environment.transformation[unit.transformation]
-    if not unit.feeds.keys() <= transformation.input.keys():
-        return False
+    feeds, fed = unit.feeds, 0
     feeders: set[tuple[str, str]] = set()
     for port in transformation.inputs:
-        streams = unit.feeds.get(port.name, ())
-        if not port.takes(len(streams)) or (port.count == ALL and any(stream.unit == unit.id for stream in streams)):
-            return False
-        if port.count > 1 and len({stream.unit for stream in streams}) < len(streams):
-            return False
+        streams = feeds.get(port.name, ())
+        fed += bool(streams)
+        if len(streams) != 1 or port.count != 1:
+            feeding = {stream.unit for stream in streams}
+            is_odd = unit.id in feeding if port.count == ALL else port.count > 1 and len(feeding) < len(streams)
+            if is_odd or not port.takes(len(streams)):
+                return False
         for stream in streams:
             label = label_of(stream.unit)
             output = None if label is None else environment.transformation[label].output.get(stream.port)
@@ -96,6 +97,8 @@ def is_well_wired(problem: Problem, label_of: Callable[[str], str | None], unit:
                 return False
             if port.distinct is not None:
                 feeders.add((port.distinct, label))
+    if fed < len(feeds):  # it takes streams at an input that its transformation does not have
+        return False
     if not unit.publications:
         return True
     wanted = {target.topic: target.tag for target in environment.stream_targets}

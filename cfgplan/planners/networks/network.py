@@ -96,8 +96,8 @@ class Network(Choosable):
         self.pinned = sorted(certain)
         takes_several = any(takes > 1 for _, takes in facts)
         self.core = Core(
-            Rows.of(sorted(row) for row in (*needs, wanted)),
-            Rows.of(providers for providers, _ in facts),
+            Rows.of([sorted(row) for row in (*needs, wanted)]),
+            Rows.of([providers for providers, _ in facts]),
             takes=np.array([takes for _, takes in facts], np.int64) if takes_several else None,
         )
 

@@ -26,8 +26,7 @@ class Reach:
         self._given: dict[int, int] = {}
         self._added: int | None = None
         self._started = 0
-        for label in dict.fromkeys(labels):
-            self._wait(label)
+        self._wait(dict.fromkeys(labels))
         self.order: list[int] = []
         self._start([label for label, number in self._missing.items() if not number], each)
 
@@ -44,7 +43,7 @@ class Reach:
         self._added, before = None, len(self.order)
         if label not in self._missing:
             self._added = label
-            self._wait(label)
+            self._wait([label])
             if not self._missing[label]:
                 self._start([label])
         self._started = len(self.order) - before
@@ -66,11 +65,13 @@ class Reach:
         del self.order[kept:]
         self._added, self._started = None, 0
 
-    def _wait(self, label: int) -> None:
-        needs, waiting = self._core.needs.lists[label], self._waiting
-        self._missing[label] = len(needs) - sum(map(self.holds, needs)) if self._given else len(needs)
-        for fact in needs:
-            waiting.setdefault(fact, []).append(label)
+    def _wait(self, labels: Iterable[int]) -> None:
+        needs_of, waiting, is_first = self._core.needs.lists, self._waiting, not self._given
+        for label in labels:
+            needs = needs_of[label]
+            self._missing[label] = len(needs) if is_first else len(needs) - sum(map(self.holds, needs))
+            for fact in needs:
+                waiting.setdefault(fact, []).append(label)
 
     def _start(self, ahead: list[int], each: Each = iter) -> None:
         """Start labels whose needs hold, then the labels that can start after them."""
