@@ -24,7 +24,7 @@ def with_all_features(environment: Environment) -> Environment:
 
 
 def changed(draw: st.DrawFn, unit: ComputationUnit, hosts: list[str | None]) -> list[ComputationUnit]:
-    """A unit as it is, or gone, doubled, on another host, fed twice, or with an input that is not fed."""
+    """A unit as it is, or gone, doubled, on another host, in standby, fed twice, or with an input that is not fed."""
     first = unit.subscriptions[:1]
     return draw(
         st.sampled_from(
@@ -33,6 +33,7 @@ def changed(draw: st.DrawFn, unit: ComputationUnit, hosts: list[str | None]) -> 
                 [],
                 [unit, replace(unit, id=f"{unit.id}'", publications=())],
                 [replace(unit, host=draw(st.sampled_from(hosts)))],
+                [replace(unit, standby=True, subscriptions=(), publications=())],
                 [replace(unit, subscriptions=unit.subscriptions[1:])],
                 [
                     replace(
