@@ -194,7 +194,7 @@ def ids(adoption: Adoption) -> list[str]:
 def test_a_unit_that_waits_for_the_state_of_another_is_ended_and_the_other_is_kept(asked: str) -> None:
     adoption = adopt("new", {"r1": in_handover(asked)}, STATEFUL)
     assert (ids(adoption), adoption.ended) == (["count.1", "work.1"], [])
-    goes_on = [("r1", GiveStateOrder("work.1", None, {}))] if asked else []
+    goes_on = [("r1", GiveStateOrder("work.1", None, {}, {}))] if asked else []
     assert adoption.orders == [
         ("r1", KillOrder("work.2", dump=False)),
         *goes_on,
@@ -210,7 +210,7 @@ def test_a_unit_that_waits_for_the_state_of_one_that_is_gone_is_kept_and_begins_
         adoption = adopt("new", {"r1": held}, STATEFUL, states)
         assert ids(adoption) == ["count.1", "work.2"]
         last = b"high" if states else None
-        assert adoption.orders == [("r1", GiveStateOrder("work.2", last, {})), ("r1", CutOrder(1, TO_WORK))]
+        assert adoption.orders == [("r1", GiveStateOrder("work.2", last, {}, {})), ("r1", CutOrder(1, TO_WORK))]
 
 
 def test_a_unit_whose_state_another_has_is_told_to_stop_unless_the_update_was_undone() -> None:
@@ -221,7 +221,7 @@ def test_a_unit_whose_state_another_has_is_told_to_stop_unless_the_update_was_un
     assert adoption.found.stopping == {"work.1": StoppingUnit("work", "r1", 0.0, None, "altitude")}
     adoption = adopt("new", {"r1": in_handover(new="has it", is_wired=False)}, STATEFUL)
     assert ids(adoption) == ["count.1", "work.1", "work.2"]
-    assert adoption.orders == [("r1", GiveStateOrder("work.1", None, {}))], "a source that was asked gives again"
+    assert adoption.orders == [("r1", GiveStateOrder("work.1", None, {}, {}))], "a source that was asked gives again"
 
 
 def test_a_unit_that_gave_its_state_to_a_unit_that_is_gone_continues_beside_others_with_that_state() -> None:
@@ -230,7 +230,7 @@ def test_a_unit_that_gave_its_state_to_a_unit_that_is_gone_continues_beside_othe
     for _ in range(2):
         adoption = adopt("new", {"r1": held}, STATEFUL)
         assert ids(adoption) == ["count.1", "work.1", "work.2"]
-        assert adoption.orders == [("r1", GiveStateOrder("work.1", None, {}))]
+        assert adoption.orders == [("r1", GiveStateOrder("work.1", None, {}, {}))]
         held.units |= started("work.3", library=STATEFUL)
         held.units["work.3"].handover = "waits"
         ended = adopt("new", {"r1": held}, STATEFUL)

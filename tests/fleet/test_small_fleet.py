@@ -148,6 +148,28 @@ def test_results_after_a_state_was_told_are_the_next_units_on_any_host() -> None
         assert {after - before for before, after in pairwise(listener.values)} == {1, 10}
 
 
+def test_a_unit_without_a_state_pauses_with_the_one_on_another_host_that_feeds_it() -> None:
+    tally = worker("tally", "Tally", run=RunOptions(state=True))
+    with small_fleet("r1", "r2") as fleet, fleet.runtime(source(), tally, worker()) as runtime:
+
+        def chain(number: int) -> tuple[ComputationUnit, ...]:
+            return (
+                unit(f"tally.{number}", "r1", x="count.1/n"),
+                unit(f"work.{number}", "r2", topic="/result", x=f"tally.{number}/y"),
+            )
+
+        runtime.apply(ChangeSet(started=(COUNT, *chain(0))))
+        listener = Listener(runtime)
+        listener.await_more(20)
+        delay_states(runtime)
+        for number in range(1, 4):
+            stopped = tuple(one.id for one in chain(number - 1))
+            assert runtime.apply(ChangeSet(started=chain(number), stopped=stopped)).unswitched == 0
+        listener.await_more(20)
+        assert seen(runtime, StateNotExact) == []
+        assert {after - before for before, after in pairwise(listener.values)} == {1}
+
+
 def test_streams_of_several_hosts_feed_one_input_and_each_is_moved_without_loss_for_any() -> None:
     gather = replace(worker("gather"), inputs=(InputPort("x", "N", count=2),))
     one, two = unit("work.1", "r1", x="count.1/n"), unit("work.2", "r2", x="count.1/n")

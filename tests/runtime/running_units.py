@@ -182,6 +182,29 @@ class SlowFirst(Clock):
         return ticks
 
 
+class Numbered:
+    """Gives at each step, or some, the step's number, which survives a restart, and the numbers of its inputs."""
+
+    def __init__(self, every: int = 1, size: int = 0) -> None:
+        self.every, self.size, self.steps = every, size, 0
+
+    def __call__(self, **inputs: Any) -> list[Any] | None:
+        self.steps += 1
+        if self.steps % self.every:
+            return None
+        return [self.steps, {port: _number(value) for port, value in inputs.items()}, bytes(self.size)]
+
+    def get_state(self) -> int:
+        return self.steps
+
+    def set_state(self, state: int) -> None:
+        self.steps = state
+
+
+def _number(value: Any) -> Any:
+    return None if value is None else [one[0] for one in value] if isinstance(value[0], list) else value[0]
+
+
 class FailsWithState(Tally):
     """Fails at each step."""
 

@@ -102,7 +102,7 @@ def test_a_unit_tells_no_state_before_it_begins_or_while_it_waits_for_one() -> N
     with child_of(worker("tally", "Tally", run=RunOptions(state=True))) as child:
         signs = list[bool]()
         child._ports.say = lambda sign: signs.append(sign.state is not None)  # type: ignore[method-assign, union-attr]
-        for message in (None, Activate(), HoldSteps(), TakeState(None, {}), Deactivate(), Finish()):
+        for message in (None, Activate(), HoldSteps(), TakeState(None, {}, {}), Deactivate(), Finish()):
             if message is not None:
                 child._obey(message, [])
             child._say_status()

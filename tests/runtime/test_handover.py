@@ -16,13 +16,23 @@ import pytest
 from cfgplan_runtime import Runtime
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.handover import Handover
-from cfgplan_runtime.children.messages import Activate, Finish, GivenInput, HoldSteps, TakeState, TellState, ToChild
+from cfgplan_runtime.children.messages import (
+    Activate,
+    Finish,
+    GivenInput,
+    HoldSteps,
+    StateTold,
+    TakeState,
+    TellState,
+    ToChild,
+)
 from cfgplan_runtime.children.ports import Ports
 from cfgplan_runtime.children.steps import Step, StepQueue
 from cfgplan_runtime.children.unit_child import UnitChild
 from cfgplan_runtime.children.unit_order import unit_order
 from cfgplan_runtime.errors import ApplyError
 from cfgplan_runtime.streams.element import BEFORE_ALL, Element, Moment
+from cfgplan_runtime.streams.inlet import InputQueue
 from cfgplan_runtime.streams.payload import PayloadEncoder
 from cfgplan_runtime.supervision.events import StateNotExact
 from cfgplan_runtime.supervision.updates import Patience
@@ -101,7 +111,7 @@ def test_a_unit_whose_state_is_late_keeps_few_elements_holds_nobody_up_and_begin
             handover.keep("x", Element(number, 0, number, b""), may_drop=False)
 
     come(10)
-    assert (handover.waiting("x"), queue.dropped["x"], handover.is_full("x")) == (10, 0, True)
+    assert (handover.waiting("x"), queue.dropped["x"], handover.is_full("x")) == (10, 0, False)
     clock.now_ns = 3_600_000_000_000
     come(10)
     handover.refill()
@@ -110,6 +120,62 @@ def test_a_unit_whose_state_is_late_keeps_few_elements_holds_nobody_up_and_begin
     handover.begin({})
     handover.refill()
     assert (handover.is_waiting, made(queue)) == (False, [{"x": 17}, {"x": 18}, {"x": 19}])
+
+
+def told(handover: Handover, said: list[object]) -> StateTold:
+    """The answer of a unit that is asked for its state at once."""
+    handover.ask_state({"x": (100, 0)})
+    assert handover.is_state_due
+    handover.tell(b"state", {})
+    (answer,) = said
+    assert isinstance(answer, StateTold)
+    return answer
+
+
+def test_elements_that_have_no_room_among_the_steps_are_given_too() -> None:
+    """The unit has itself just begun with a state, and the elements that it kept wait for their steps."""
+    said = list[object]()
+    inlet = InputQueue(limit=10)
+    ports = SimpleNamespace(inputs={"x": SimpleNamespace(inlet=inlet)}, outputs={}, say=said.append)
+    handover = Handover(StepQueue(["x"], start="all", tolerance_ns=0, limit=2), cast("Ports", ports), 2)
+    handover.hold()
+    for number in range(5):
+        handover.keep("x", Element(number, 0, number, b""), may_drop=False)
+    inlet.last = (100, 0)
+    handover.begin({})
+    handover.refill()
+    given = told(handover, said).inputs["x"]
+    assert (given.done, [one.time_ns for one in given.elements]) == ((0, -1), [0, 1, 2, 3, 4])
+
+
+def test_a_unit_that_is_asked_for_its_state_has_room_for_what_this_needs() -> None:
+    """Its other input pauses, so that no step makes room."""
+    inlet = InputQueue(limit=10)
+    ports = SimpleNamespace(inputs={"x": SimpleNamespace(inlet=inlet)})
+    queue = StepQueue(["x", "z"], start="all", tolerance_ns=0, limit=1)
+    handover = Handover(queue, cast("Ports", ports), 1)
+    queue.put("x", Element(1, 0, 0, b""), may_drop=False)
+    assert handover.is_full("x")
+    handover.ask_state({"x": (2, 0)})
+    assert (handover.is_full("x"), handover.is_state_due) == (False, False)
+    inlet.last = (2, 0)
+    assert (handover.is_full("x"), handover.is_state_due) == (True, True)
+
+
+def test_a_unit_that_pauses_holds_up_no_source_that_also_feeds_the_next_one() -> None:
+    said = list[object]()
+    inlet = InputQueue(limit=10, last=(100, 0))
+    ports = SimpleNamespace(inputs={"x": SimpleNamespace(inlet=inlet)}, outputs={}, say=said.append)
+    handover = Handover(StepQueue(["x"], start="all", tolerance_ns=0, limit=1), cast("Ports", ports), 1)
+    told(handover, said)
+    for number in range(20):
+        handover.keep("x", Element(number, 0, number, bytes(1 << 10)), may_drop=False)
+    assert not handover.is_full("x")
+    for number in range(33):
+        handover.keep("x", Element(number, 0, number, bytes(1 << 20)), may_drop=False)
+    assert handover.is_full("x"), "more would fill the memory"
+    handover.stay()
+    assert handover.is_full("x")
 
 
 def modes(code: str, **more: object) -> tuple[Transformation, Transformation]:
@@ -234,6 +300,28 @@ def test_results_of_a_chain_after_states_were_told_are_the_next_chains(run_units
     assert [rises_of_one(runtime, listener) for listener in listeners] == [{1, 10}] * 2
 
 
+def test_a_unit_without_a_state_pauses_with_the_one_that_feeds_it(run_units: StartRuntime) -> None:
+    """Both are replaced; a topic whose old unit neither gives an element nor pauses would be silent for 2 s."""
+    high, low = modes("Tally")
+    runtime = run_units(source(), high, low, worker())
+    delay_states(runtime)
+
+    def chain(number: int) -> tuple[ComputationUnit, ...]:
+        tally = f"{('high', 'low')[number % 2]}.{number}"
+        return unit(tally, x="count.1/n"), unit(f"work.{number}", topic="/result", x=f"{tally}/y")
+
+    runtime.apply(start(unit("count.1"), *chain(0)))
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 20)
+    for number in range(1, 4):
+        stopped = tuple(one.id for one in chain(number - 1))
+        assert runtime.apply(ChangeSet(started=chain(number), stopped=stopped)).unswitched == 0
+    received = len(listener.received)
+    eventually(lambda: len(listener.received) > received + 5)
+    assert seen(runtime, StateNotExact) == []
+    assert rises_of_one(runtime, listener) == {1}
+
+
 def test_a_unit_whose_successor_fails_at_each_step_makes_the_steps_that_came_meanwhile(
     run_units: StartRuntime,
 ) -> None:
@@ -319,7 +407,7 @@ def test_a_state_that_comes_again_changes_nothing_in_a_unit_that_makes_steps(run
     listener = Listener("/result")
     eventually(lambda: len(listener.received) > 20)
     zero = msgspec.msgpack.encode(0)
-    runtime._executor.call(lambda: runtime.supervisor.backend.give_state("high.0", zero, {}))
+    runtime._executor.call(lambda: runtime.supervisor.backend.give_state("high.0", zero, {}, {}))
     received = len(listener.received)
     eventually(lambda: len(listener.received) > received + 20)
     assert rises_of_one(runtime, listener) == {1}
@@ -335,7 +423,7 @@ def test_a_source_that_was_asked_for_its_state_and_stays_gives_again_at_once(mon
         3,
     )
     handover.ask_state({})
-    handover.tell(b"state")
+    handover.tell(b"state", {})
     assert handover.is_still
     assert handover.pause_ns > 0
     handover.stay()
@@ -362,10 +450,11 @@ def test_elements_that_waited_before_a_unit_was_told_to_wait_for_a_state_are_no_
     child._obey(HoldSteps(), [])
     child._work()
     child._ports.inputs["x"].take(elements[4])
-    child._obey(TakeState(msgspec.msgpack.encode(4), {"x": GivenInput((4, 0))}), [])
+    child._obey(TakeState(msgspec.msgpack.encode(4), {"x": GivenInput((4, 0))}, {"y": (9, 0)}), [])
     child._work()
     assert child.step == 1
     assert child._state() == msgspec.msgpack.encode(5)
+    assert child._ports.outputs["y"].last == (9, 1), "after the elements of the unit before it"
     child.close()
     for end in (ours, theirs):
         end.close()

@@ -249,6 +249,16 @@ def test_after_a_pause_the_earliest_standby_is_next_unless_it_pauses_too() -> No
     assert inlet.active == 3
 
 
+def test_an_inlet_keeps_nothing_of_a_source_that_has_paused_and_is_not_read_any_more() -> None:
+    inlet = InputQueue(limit=10)
+    inlet.attach(1)
+    inlet.attach(2)
+    inlet.accept(1, element(1))
+    inlet.pause(1)
+    inlet.accept(2, element(1))
+    assert (inlet.sources, inlet._paused) == ({2}, set())
+
+
 def test_a_source_that_gives_again_pauses_no_longer() -> None:
     inlet = InputQueue(limit=10)
     inlet.attach(1)

@@ -8,6 +8,8 @@ import pytest
 from cfgplan_runtime.children.steps import StepQueue
 from cfgplan_runtime.streams.element import Element
 
+from cfgplan.rows import ALL
+
 
 def steps(
     start: str, arrivals: Sequence[tuple[str, int]], *, tolerance_ns: int = 0, limit: int = 100
@@ -112,3 +114,37 @@ def test_where_all_inputs_are_optional_each_element_starts_a_step() -> None:
     step = queue.next()
     assert step is not None and set(step.elements) == {"a"}
     assert queue.next() is None
+
+
+@pytest.mark.parametrize(
+    ("start", "waiting", "still", "rests"),
+    [
+        ("all", "", "a", True),
+        ("all", "a", "a", False),
+        ("all", "b", "a", True),
+        ("aligned", "b", "a", True),
+        ("any", "", "a", False),
+        ("any", "", "ab", True),
+        ("any", "b", "ab", False),
+        ("a", "", "a", True),
+        ("a", "b", "b", False),
+        ("all", "", "", False),
+        ("any", "", "", False),
+    ],
+)
+def test_steps_rest_on_a_source_that_pauses_if_none_can_begin_without_it(
+    start: str, waiting: str, still: str, rests: bool
+) -> None:
+    queue = StepQueue(["a", "b"], start=start, tolerance_ns=0, limit=10)
+    for number, inlet in enumerate(waiting):
+        queue.put(inlet, Element(number, 0, 0, b""), may_drop=True)
+    assert queue.rests_on([*still]) == rests
+
+
+def test_a_port_of_all_streams_rests_once_each_of_them_pauses() -> None:
+    queue = StepQueue(["a"], start="all", tolerance_ns=0, limit=10, counts={"a": ALL})
+    for inlet in ("a/1", "a/2"):
+        queue.put(inlet, Element(1, 0, 0, b""), may_drop=True)
+    assert queue.next() is not None
+    assert not queue.rests_on(["a/1"])
+    assert queue.rests_on(["a/1", "a/2"])

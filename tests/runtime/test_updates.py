@@ -135,7 +135,7 @@ class Scene:
                 self.said.append(" ".join(["ask", name, *until]))
                 state = None if name in self.stateless else f"that of {name}".encode()
                 inputs = {inlet.port: GivenInput(PLACE) for inlet in self.feeds if inlet.unit == name}
-                self._answer(StateTold(name, state, inputs))
+                self._answer(StateTold(name, state, inputs, {}))
             case GiveState(name, state, inputs):
                 self.said.append(f"give {name} {'what is known' if state is None else state.decode()} {sorted(inputs)}")
             case TellOf(event):
@@ -375,6 +375,29 @@ def test_a_unit_continues_if_its_successor_dies_before_it_has_the_state() -> Non
         for command in commands:
             scene.obey(command)
     assert "give high.1 what is known []" in scene.said
+
+
+def test_a_state_is_not_asked_for_if_a_new_unit_has_died() -> None:
+    scene = Scene(MODES, mute={"low.1"})
+    commands = carry_out(scene, LOWER, environment_after(scene.environment, LOWER), Patience())
+    while not isinstance(command := next(commands), AskPlaces):
+        scene.obey(command)
+    scene.alive.discard("low.1")
+    with pytest.raises(ApplyError, match=r"low\.1 died"):
+        for command in commands:
+            scene.obey(command)
+    assert not [said for said in scene.said if said.startswith(("ask", "low.1 after"))]
+
+
+def test_a_unit_tells_its_state_after_the_units_without_one_that_take_its_topics_have_begun() -> None:
+    """They do not make the steps before their first element."""
+    other = worker("other")
+    scene = Scene(replace(MODES, library=(*MODES.library, other)))
+    (low,) = LOWER.started
+    topic = unit("other.1", topic="/result", x="count.1/n")
+    scene.carry_out(ChangeSet(started=(replace(low, publications=()), topic), stopped=LOWER.stopped))
+    said = ", ".join(scene.said)
+    assert "begin other.1, wait, places low.1" in said
 
 
 def test_a_unit_that_an_undone_update_has_kept_waits_for_no_state_after_the_next_is_undone_too() -> None:

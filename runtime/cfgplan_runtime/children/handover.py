@@ -15,6 +15,7 @@ from itertools import chain
 from cfgplan_runtime.children.messages import GivenInput, StateTold
 from cfgplan_runtime.children.ports import Ports
 from cfgplan_runtime.children.steps import StepQueue
+from cfgplan_runtime.streams.channel import MOST_WAITING_BYTES
 from cfgplan_runtime.streams.element import BEFORE_ALL, Element, Moment
 from cfgplan_runtime.streams.inlet import port_of
 
@@ -86,8 +87,17 @@ class Handover:
             self._steps.dropped[port_of(inlet)] += 1
 
     def is_full(self, inlet: str) -> bool:
-        """Whether an inlet keeps as many elements as may wait for its steps."""
-        return self._held is not None and not self._is_late and len(self._held.get(inlet, ())) >= self._limit
+        """Whether an inlet keeps as many elements as may wait for its steps.
+
+        A unit that is still has more room: its producers also feed the other unit of the hand-over, and must not wait.
+        One that is asked for its state has room for the elements that this needs, even if no step can use them yet.
+        """
+        kept = deque[Element]() if self._held is None else self._held.get(inlet, deque())
+        if self._is_late or self._needs(inlet):
+            return False
+        if self.is_still:
+            return len(kept) >= _MOST_HELD or (bool(kept) and len(kept) * len(kept[-1].payload) > MOST_WAITING_BYTES)
+        return self._steps.is_full(inlet) or len(kept) >= self._limit
 
     def waiting(self, port: str) -> int:
         """The number of elements that a port keeps."""
@@ -143,14 +153,18 @@ class Handover:
 
     @property
     def is_state_due(self) -> bool:
-        """Whether the state is asked for, and all elements that it needs have been received.
+        """Whether the state is asked for, and all elements that it needs have been received."""
+        return self._asked is not None and not any(map(self._needs, self._asked))
 
-        A source that pauses has told its state, too: the next one's first element comes after all of its elements.
+    def _needs(self, inlet: str) -> bool:
+        """Whether the state that is asked for needs elements of an inlet that have not been received.
+
+        If the inlet's source pauses, all have: the next source's first element comes after them.
         """
-        return self._asked is not None and all(
-            (port := self._ports.inputs.get(name)) is None or port.inlet.last >= moment or port.inlet.is_paused
-            for name, moment in self._asked.items()
-        )
+        port = self._ports.inputs.get(inlet)
+        if self._asked is None or inlet not in self._asked or port is None:
+            return False
+        return port.inlet.last < self._asked[inlet] and not port.inlet.is_paused
 
     def stay(self) -> None:
         """Continue with the unit's own state: it is not replaced after all."""
@@ -161,17 +175,20 @@ class Handover:
         if self._paused_until_ns:
             self._paused_until_ns = NEVER_NS
 
-    def tell(self, state: bytes | None) -> None:
-        """Tell the asked state between two steps, then pause: the next unit makes the steps from here on, perhaps in
-        another way.
+    def tell(self, state: bytes | None, outputs: Mapping[str, Moment]) -> None:
+        """Tell the asked state between two steps, and the moment of each output's last element. Then pause: the
+        next unit makes the steps from here on, perhaps in another way.
         """
         assert self._asked is not None
         asked, self._asked = self._asked, None
+        for inlet, kept in (self._held or {}).items():  # they are part of what is given, even if they have no room
+            while kept:
+                self._steps.put(inlet, kept.popleft(), may_drop=False)
         inputs = {
             name: self._steps.given(name, port.inlet.last, asked.get(name, BEFORE_ALL))
             for name, port in self._ports.inputs.items()
         }
-        self._ports.say(StateTold(state, inputs))
+        self._ports.say(StateTold(state, inputs, dict(outputs)))
         if state is not None:
             self._paused_until_ns = time.monotonic_ns() + _MOST_HELD_NS
             self._held, self._most = self._held or {}, _MOST_HELD

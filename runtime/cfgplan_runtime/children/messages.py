@@ -195,13 +195,15 @@ class GivenInput(msgspec.Struct, frozen=True):
 
 
 class TakeState(msgspec.Struct, tag=True):
-    """Take the state of an earlier unit, if there is one, and begin with the steps after it, by inlet.
+    """Take the state of an earlier unit, if there is one, and begin with the steps after it, by inlet. The elements of
+    each output in `outputs` come after this moment.
 
     A unit that does not wait for a state continues with its own: it is not replaced after all.
     """
 
     state: bytes | None
     inputs: dict[str, GivenInput]
+    outputs: dict[str, Moment]
 
 
 class Finish(msgspec.Struct, tag=True):
@@ -314,10 +316,14 @@ class Places(msgspec.Struct, tag=True):
 
 
 class StateTold(msgspec.Struct, tag=True):
-    """A unit's state between two steps, with its place in each input. `state` is None if it keeps none."""
+    """A unit's state between two steps, with its place in each input, and the moment of each output's last element.
+
+    `state` is None if it keeps none.
+    """
 
     state: bytes | None
     inputs: dict[str, GivenInput]
+    outputs: dict[str, Moment]
 
 
 class Flow(msgspec.Struct, frozen=True):

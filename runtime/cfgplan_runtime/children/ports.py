@@ -50,6 +50,8 @@ class UnitInput:
     """Called when it has lost its source."""
     pause: Callable[[], None] = _nothing
     """Called when its source pauses, and no other takes its place."""
+    is_still: bool = False
+    """Whether its source pauses, as far as was told by `pause`."""
     receivers: dict[int, Receiver] = field(default_factory=dict)
     announced: int | None = None
     """The active source that was last reported to the supervisor."""
@@ -277,10 +279,7 @@ class Ports:
         for element in receiver.read():
             self._settle(port, port.inlet.accept(wire, element))
         if receiver.is_paused and wire in port.receivers:
-            was_paused = port.inlet.is_paused
             self._settle(port, port.inlet.pause(wire))
-            if port.inlet.is_paused and not was_paused:
-                port.pause()
         if receiver.has_ended and wire in port.receivers:
             self._settle(port, port.inlet.end(wire))
             if port.inlet.active is None:
@@ -292,7 +291,7 @@ class Ports:
                 self.ends.unwatch(other.socket)
 
     def _settle(self, port: UnitInput, elements: list[Element]) -> None:
-        """Deliver elements, close the receivers that the inlet no longer needs, and report a switch."""
+        """Deliver elements, close the receivers that the inlet no longer needs, and report a switch and a pause."""
         port.elements += len(elements)
         for element in elements:
             port.take(element)
@@ -303,6 +302,10 @@ class Ports:
             port.announced = port.inlet.active
             if port.announced is not None:
                 self.say(Switched(port.name, port.announced))
+        if port.inlet.is_paused != port.is_still:
+            port.is_still = port.inlet.is_paused
+            if port.is_still:
+                port.pause()
 
     def _close(self, receiver: Receiver) -> None:
         self.ends.unwatch(receiver.socket)

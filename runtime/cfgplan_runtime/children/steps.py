@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 
@@ -135,6 +135,15 @@ class StepQueue:
         """Forget the elements that wait."""
         for waiting in self._waiting.values():
             waiting.clear()
+
+    def rests_on(self, still: Collection[str]) -> bool:
+        """Whether no step can begin before one of the inlets in `still` gets an element."""
+        empty = {inlet for inlet in still if not self._waiting.get(inlet)}
+        if self._start in ("all", "aligned"):
+            return not empty.isdisjoint(self._needed) or any(
+                inlets and empty.issuperset(inlets) for inlets in self._needed_open
+            )
+        return bool(empty) and empty.issuperset(self._waiting)
 
     def begin_at(self, inlet: str, done: Moment, elements: Iterable[Element]) -> list[Element]:
         """Go on from an inlet's place. Returns the elements after it, each once.

@@ -96,6 +96,8 @@ class UnitChild:
         self._raised: Exception | None = None
         """The last exception of a source that has given nothing since; the cause if the source then ends."""
         self._tick_ns = 0
+        self._may_rest = False
+        """Whether a source pauses, and the subscribers have not been told that therefore this unit does."""
         self._is_idle = False
         """Whether nothing has come and nothing was due since the last sign of life."""
 
@@ -217,9 +219,10 @@ class UnitChild:
                 self._handover.ask_places(begun)
             case messages.TellState(until):
                 self._handover.ask_state(until)
-            case messages.TakeState(state, inputs) if self._handover.is_waiting:
+            case messages.TakeState(state, inputs, outputs) if self._handover.is_waiting:
                 self._set_state(state)
                 self._handover.begin(inputs)
+                self._last.update(outputs)
             case messages.TakeState():
                 self._handover.stay()
             case messages.Finish():
@@ -247,6 +250,10 @@ class UnitChild:
     @property
     def _owes(self) -> bool:
         return self._program is not None and self._program.owes
+
+    @property
+    def _sets_its_pace(self) -> bool:
+        return self._program is not None and self._program.sets_its_pace
 
     @property
     def _has_room(self) -> bool:
@@ -297,6 +304,8 @@ class UnitChild:
             else:
                 break
         self._answer()
+        if self._may_rest:
+            self._rest()
         self._since_ns = NEVER_NS
         if self._program is not None:
             self._program.flush()
@@ -308,7 +317,18 @@ class UnitChild:
         if places is not None:
             self._ports.say(messages.Places(places))
         if self._handover.is_state_due and self._results is None and self._next_step is None:
-            self._handover.tell(self._state())
+            self._handover.tell(self._state(), self._last)
+
+    def _rest(self) -> None:
+        """Tell the subscribers of a pause once no step can begin before a source that pauses gives an element."""
+        inlets = {name: port.inlet for name, port in self._ports.inputs.items()}
+        self._may_rest = any(inlet.is_paused for inlet in inlets.values())
+        still = [name for name, inlet in inlets.items() if inlet.is_paused or inlet.active is None]
+        is_at_work = self._has_work or self._handover.is_keeping or self._sets_its_pace
+        if self._may_rest and not is_at_work and self._steps.rests_on(still):
+            self._may_rest = False
+            for name in self._ports.outputs:
+                self._ports.pause(name)
 
     def _begin(self, step: Step) -> None:
         self._next_step = None
@@ -467,7 +487,10 @@ class UnitChild:
             put = self._handover.keep if self._handover.is_keeping else self._steps.put
             put(name, element, may_drop=not self._order.blocks)
 
-        def has_room() -> bool:
-            return not (self._order.blocks and (self._steps.is_full(name) or self._handover.is_full(name)))
+        def pause() -> None:
+            self._may_rest = True
 
-        return UnitInput(name, InputQueue(self._order.queue), take, has_room, lambda: self._steps.forget(name))
+        def has_room() -> bool:
+            return not (self._order.blocks and self._handover.is_full(name))
+
+        return UnitInput(name, InputQueue(self._order.queue), take, has_room, lambda: self._steps.forget(name), pause)

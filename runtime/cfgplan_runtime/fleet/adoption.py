@@ -164,9 +164,9 @@ def _states_given(held: Mapping[str, Held], kept: Mapping[str, str], states: Map
     for unit, host in kept.items():
         known = held[host].units[unit]
         if known.handover == "waits":
-            yield host, GiveStateOrder(unit, states.get(known.order.state_name or ""), {})
+            yield host, GiveStateOrder(unit, states.get(known.order.state_name or ""), {}, {})
         elif known.handover == "is asked":
-            yield host, GiveStateOrder(unit, None, {})
+            yield host, GiveStateOrder(unit, None, {}, {})
 
 
 def _is_connected(held: Mapping[str, Held], host: str, unit: str) -> bool:

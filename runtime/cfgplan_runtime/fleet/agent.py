@@ -376,9 +376,9 @@ class Agent:
             case orders.AskStateOrder(unit, until, successor):
                 self._note_handover(unit, "is asked", successor)
                 backend.ask_state(unit, until, successor)
-            case orders.GiveStateOrder(unit, state, inputs):
+            case orders.GiveStateOrder(unit, state, inputs, outputs):
                 self._note_handover(unit, "has it")
-                backend.give_state(unit, state, inputs)
+                backend.give_state(unit, state, inputs, outputs)
             case orders.ConnectOrder(wire, stream, inlet, queue, blocks):
                 self._hold_wire(order)
                 backend.connect(wire, stream, inlet, queue=queue, blocks=blocks)

@@ -224,8 +224,11 @@ class FleetBackend:
     def ask_state(self, unit: str, until: Mapping[str, Moment], successor: str) -> None:
         self._presence.say(self._units.get(unit), orders.AskStateOrder(unit, dict(until), successor))
 
-    def give_state(self, unit: str, state: bytes | None, inputs: Mapping[str, GivenInput]) -> None:
-        self._presence.say(self._units.get(unit), orders.GiveStateOrder(unit, state, dict(inputs)))
+    def give_state(
+        self, unit: str, state: bytes | None, inputs: Mapping[str, GivenInput], outputs: Mapping[str, Moment]
+    ) -> None:
+        order = orders.GiveStateOrder(unit, state, dict(inputs), dict(outputs))
+        self._presence.say(self._units.get(unit), order)
 
     def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:
         source, target = self._units.get(stream.unit), self._host_of(inlet)

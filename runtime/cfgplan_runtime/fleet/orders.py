@@ -147,6 +147,7 @@ class GiveStateOrder(msgspec.Struct, tag=True):
     unit: str
     state: bytes | None
     inputs: dict[str, GivenInput]
+    outputs: dict[str, Moment]
 
 
 class ConnectOrder(msgspec.Struct, tag=True):

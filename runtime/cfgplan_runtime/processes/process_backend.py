@@ -256,8 +256,10 @@ class ProcessBackend:
     def ask_state(self, unit: str, until: Mapping[str, Moment], successor: str) -> None:  # noqa: ARG002
         self._tell_unit(unit, messages.TellState(dict(until)))
 
-    def give_state(self, unit: str, state: bytes | None, inputs: Mapping[str, messages.GivenInput]) -> None:
-        self._tell_unit(unit, messages.TakeState(state, dict(inputs)))
+    def give_state(
+        self, unit: str, state: bytes | None, inputs: Mapping[str, messages.GivenInput], outputs: Mapping[str, Moment]
+    ) -> None:
+        self._tell_unit(unit, messages.TakeState(state, dict(inputs), dict(outputs)))
 
     def _tell_unit(self, unit: str, message: messages.ToChild) -> None:
         child = self._by_name.get(unit)
@@ -511,8 +513,8 @@ class ProcessBackend:
                 self._events.append(events.OutOfDescriptors(f"subscribers of {topic} wait: {cause}"))
             case messages.Places(moments):
                 self._events.append(events.PlacesTold(name, moments))
-            case messages.StateTold(state, inputs):
-                self._events.append(events.StateTold(name, state, inputs))
+            case messages.StateTold(state, inputs, outputs):
+                self._events.append(events.StateTold(name, state, inputs, outputs))
             case messages.UnitSign(steps, errors, inputs, outputs, state, qualities):
                 child.steps = steps
                 self._events.append(events.UnitStatus(name, steps, errors, inputs, outputs, state, qualities))

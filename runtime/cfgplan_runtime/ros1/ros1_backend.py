@@ -193,9 +193,11 @@ class Ros1Backend:
         self._events.append(events.PlacesTold(unit, {}))
 
     def ask_state(self, unit: str, until: Mapping[str, Moment], successor: str) -> None:  # noqa: ARG002
-        self._events.append(events.StateTold(unit, None, {}))
+        self._events.append(events.StateTold(unit, None, {}, {}))
 
-    def give_state(self, unit: str, state: bytes | None, inputs: Mapping[str, messages.GivenInput]) -> None:
+    def give_state(
+        self, unit: str, state: bytes | None, inputs: Mapping[str, messages.GivenInput], outputs: Mapping[str, Moment]
+    ) -> None:
         """Do nothing: nodes do not take a state."""
 
     def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:  # noqa: ARG002

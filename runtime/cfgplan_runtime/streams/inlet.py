@@ -2,8 +2,8 @@
 
 An inlet has an active source and, while it is rewired, a standby. The standby's elements wait until the active source
 has sent everything before the first of them. Then the inlet switches, and skips elements of the standby that are not
-newer. So the moments of the elements that it delivers always rise. A unit that has given its state to the standby
-pauses, and tells so: everything before the standby's first element has come then.
+newer. So the moments of the elements that it delivers always rise. A unit that has given its state to the next one
+pauses, and so does a unit that it feeds; both tell so. Everything before the standby's first element has come then.
 
 If an inlet has to switch early, it still reads the former source: elements before the first one of the new source are
 delivered until the new source has sent one, and counted as dropped from then on.
@@ -109,10 +109,9 @@ class InputQueue:
 
     def end(self, wire: int) -> list[Element]:
         """Record the end of `wire`. Returns the elements to deliver now."""
-        self._paused.discard(wire)
         if wire == self.active:
             self.active = None
-            self._next_number.pop(wire, None)
+            self._forget_wire(wire)
             return self._next_active()
         if wire in self._former:
             self._forget_former(wire)
@@ -197,11 +196,16 @@ class InputQueue:
 
     def _forget_former(self, wire: int) -> None:
         del self._former[wire]
-        self._next_number.pop(wire, None)
+        self._forget_wire(wire)
 
     def _forget_standby(self, wire: int, *, is_read: bool = False) -> None:
         """Forget the waiting elements of a standby, and their numbers unless the wire `is_read` on."""
         self._standbys.pop(wire, None)
         self._ended.discard(wire)
         if not is_read:
-            self._next_number.pop(wire, None)
+            self._forget_wire(wire)
+
+    def _forget_wire(self, wire: int) -> None:
+        """Forget what is known of a wire that is not read any more."""
+        self._next_number.pop(wire, None)
+        self._paused.discard(wire)

@@ -204,9 +204,11 @@ class Backend(Protocol):
         once each inlet in `until` has received the element of its moment.
         """
 
-    def give_state(self, unit: str, state: bytes | None, inputs: Mapping[str, GivenInput]) -> None:
+    def give_state(
+        self, unit: str, state: bytes | None, inputs: Mapping[str, GivenInput], outputs: Mapping[str, Moment]
+    ) -> None:
         """Give a unit that was told to `hold` the state of another, if there is one. Its steps begin after it, at the
-        place of each inlet in `inputs`.
+        place of each inlet in `inputs`; the elements of each output in `outputs` come after this moment.
 
         A unit that was asked for its state, and is not replaced after all, continues with its own state instead.
         """

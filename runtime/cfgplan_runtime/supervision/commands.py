@@ -72,7 +72,8 @@ class AskState(Command, frozen=True):
 
 
 class GiveState(Command, frozen=True):
-    """Give a waiting unit a state and its place in each input; without a state, the last known one of its name.
+    """Give a waiting unit a state, its place in each input, and the moment after which each output's elements come;
+    without a state, the last known one of its name.
 
     A unit that was asked for its state continues with its own instead.
     """
@@ -80,6 +81,7 @@ class GiveState(Command, frozen=True):
     unit: str
     state: bytes | None = None
     inputs: Mapping[str, GivenInput] = {}
+    outputs: Mapping[str, Moment] = {}
 
 
 class TellOf(Command, frozen=True):

@@ -146,11 +146,14 @@ class PlacesTold(Event, frozen=True):
 
 
 class StateTold(Event, frozen=True):
-    """A unit's state between two steps, null if it keeps none, with its place in each input."""
+    """A unit's state between two steps, null if it keeps none, with its place in each input, and the moment of each
+    output's last element.
+    """
 
     unit: str
     state: bytes | None
     inputs: dict[str, GivenInput]
+    outputs: dict[str, Moment]
 
 
 class StateNotExact(Event, frozen=True):

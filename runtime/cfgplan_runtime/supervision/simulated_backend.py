@@ -265,9 +265,15 @@ class SimulatedBackend:
 
     def ask_state(self, unit: str, until: Mapping[str, Moment], successor: str) -> None:  # noqa: ARG002
         self.calls.append(("ask state", unit))
-        self._later(0.0, StateTold(unit, self.units[unit].state or b"", {}))
+        self._later(0.0, StateTold(unit, self.units[unit].state or b"", {}, {}))
 
-    def give_state(self, unit: str, state: bytes | None, inputs: Mapping[str, GivenInput]) -> None:  # noqa: ARG002
+    def give_state(
+        self,
+        unit: str,
+        state: bytes | None,
+        inputs: Mapping[str, GivenInput],  # noqa: ARG002
+        outputs: Mapping[str, Moment],  # noqa: ARG002
+    ) -> None:
         self.calls.append(("give state", unit))
         if unit in self.units and self.units[unit].is_held:
             self.units[unit].state, self.units[unit].is_held = state, False

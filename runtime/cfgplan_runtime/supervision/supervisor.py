@@ -320,10 +320,10 @@ class Supervisor:
             case commands.AskState(unit_id, until, successor):
                 self._answers.pop(unit_id, None)
                 self.backend.ask_state(unit_id, until, successor)
-            case commands.GiveState(unit_id, state, inputs):
+            case commands.GiveState(unit_id, state, inputs, outputs):
                 if state is None and unit_id in self._library:  # it has not died meanwhile
                     state = self._states.get(self._library[unit_id].state_name or "")
-                self.backend.give_state(unit_id, state, inputs)
+                self.backend.give_state(unit_id, state, inputs, outputs)
             case commands.TellOf(event):
                 self._report(event)
             case commands.StopUnit(unit_id):

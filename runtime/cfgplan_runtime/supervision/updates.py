@@ -281,6 +281,7 @@ class _Update:
         yield from self.activate(unit.id for unit in self.after.units)
         paused = set[str]()
         for unit, before in heirs.items():
+            yield from self.await_others(before, heirs)
             is_told = yield from self.hand_over_state(before, unit)
             if is_told and not self.after.transformation[self.after.unit[unit].transformation].inputs:
                 paused.add(before)
@@ -329,9 +330,26 @@ class _Update:
             for unit in self.after.units
             if unit.id in self.fresh and (name := _state_name(self.after, unit)) in old and name is not None
         }
-        feeding = grouped((inlet.unit, stream.unit) for inlet, stream in self.wanted.items())
-        upstream = {unit: heirs.keys() & reached([unit], lambda one: feeding.get(one, ())) for unit in heirs}
+        upstream = {unit: heirs.keys() & self.upstream(unit) for unit in heirs}
         return {unit: heirs[unit] for unit in sorted(heirs, key=lambda unit: len(upstream[unit]))}
+
+    def upstream(self, unit: str) -> list[str]:
+        """A unit, and all that feed it after the update."""
+        feeding = grouped((inlet.unit, stream.unit) for inlet, stream in self.wanted.items())
+        return reached([unit], lambda one: feeding.get(one, ()))
+
+    def await_others(self, before: str, heirs: Mapping[str, str]) -> Commands:
+        """Wait until inlets have switched that the unit `before` fed and that none of the heirs feeds, directly or by
+        others: they need its elements up to the first one of their new source.
+        """
+        others = {
+            inlet: stream.unit
+            for inlet, stream in self.wanted.items()
+            if (old := self.rewired.get(inlet)) is not None and old.unit == before
+        }
+        inlets = [inlet for inlet, unit in others.items() if heirs.keys().isdisjoint(self.upstream(unit))]
+        if inlets:
+            yield WaitUntil(lambda: bool(self.dead()) or not any(map(self.is_switching, inlets)), _PLACES_S)
 
     def hand_over_state(self, before: str, heir: str) -> Generator[Command, None, bool]:
         """Let a new unit, which holds its steps, begin them with the state of the unit `before` it, at its place.
@@ -340,13 +358,20 @@ class _Update:
         """
         actual, same = self.actual, self.same_inlets(before, heir)
         yield AskPlaces(heir, self.inlets_of_new_streams(before, heir))
-        yield WaitUntil(lambda: actual.answer(heir) is not None or not {before, heir} <= actual.alive, _PLACES_S)
+        yield WaitUntil(
+            lambda: actual.answer(heir) is not None or not {before, heir} <= actual.alive or bool(self.dead()),
+            _PLACES_S,
+        )
+        self.fail_if_dead()
         places = actual.answer(heir)
         known = places.moments if isinstance(places, PlacesTold) else {}
         until = {same[name]: moment for name, moment in known.items() if name in same}
         self.asked.add(before)
         yield AskState(before, until, heir)
-        yield WaitUntil(lambda: actual.answer(before) is not None or before not in actual.alive, _STATE_S)
+        yield WaitUntil(
+            lambda: actual.answer(before) is not None or before not in actual.alive or bool(self.dead()), _STATE_S
+        )
+        self.fail_if_dead()
         told = actual.answer(before)
         if not isinstance(told, StateTold) or told.state is None:
             cause = "its code has no state to tell" if told else f"it did not tell its state within {_STATE_S:g} s"
@@ -357,7 +382,12 @@ class _Update:
         if places is None:
             yield TellOf(StateNotExact(heir, before, f"{heir} got no element within {_PLACES_S:g} s"))
         inputs = {name: told.inputs[old] for name, old in same.items() if places and old in told.inputs}
-        yield GiveState(heir, told.state, inputs)
+        outputs = {
+            self.wanted[inlet].port: told.outputs[old.port]
+            for inlet, old in self.rewired.items()
+            if old is not None and old.unit == before and old.port in told.outputs and self.wanted[inlet].unit == heir
+        }
+        yield GiveState(heir, told.state, inputs, outputs)
         self.held.discard(heir)
         return True
 
