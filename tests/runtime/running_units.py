@@ -31,6 +31,14 @@ VARIOUS: list[Any] = [
 """Values of each kind that msgpack writes in another way."""
 
 
+def once() -> Iterator[int]:
+    """A number, and no other one."""
+    yield 0
+    while True:
+        time.sleep(60)
+        yield 0
+
+
 def various() -> Iterator[Any]:
     while True:
         yield from VARIOUS

@@ -322,6 +322,42 @@ def test_a_unit_without_a_state_pauses_with_the_one_that_feeds_it(run_units: Sta
     assert rises_of_one(runtime, listener) == {1}
 
 
+@pytest.mark.parametrize("start_rule", ["all", "aligned"])
+def test_inputs_stay_paired_if_a_unit_without_a_state_is_replaced(run_units: StartRuntime, start_rule: str) -> None:
+    """Both come from one source, one of them through another unit: the sums of equal numbers are even."""
+    add = worker("add", "add", inputs=("a", "b"), run=RunOptions(start=start_rule))
+    runtime = run_units(source(rate_hz=1000), worker("same"), add)
+    feeds = {"a": "count.1/n", "b": "same.1/y"}
+    runtime.apply(start(unit("count.1"), unit("same.1", x="count.1/n"), unit("add.0", topic="/result", **feeds)))
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 20)
+    for number in range(1, 13):
+        next_one = unit(f"add.{number}", topic="/result", **feeds)
+        assert runtime.apply(ChangeSet(started=(next_one,), stopped=(f"add.{number - 1}",))).unswitched == 0
+    received = len(listener.received)
+    eventually(lambda: len(listener.received) > received + 20)
+    assert rises_of_one(runtime, listener) == {2}
+    assert listener.values[0] % 2 == 0
+
+
+def test_a_unit_without_a_state_has_the_last_element_of_a_quiet_stream_from_the_one_before(
+    run_units: StartRuntime,
+) -> None:
+    """A map that came once, for example."""
+    add = worker("add", "add", inputs=("a", "b"), run=RunOptions(start="a"))
+    runtime = run_units(source(), source("once", "once"), add)
+    feeds = {"a": "count.1/n", "b": "once.1/n"}
+    runtime.apply(start(unit("add.0", topic="/result", **feeds), unit("count.1"), unit("once.1")))
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 20)
+    for number in range(1, 4):
+        next_one = unit(f"add.{number}", topic="/result", **feeds)
+        assert runtime.apply(ChangeSet(started=(next_one,), stopped=(f"add.{number - 1}",))).unswitched == 0
+    received = len(listener.received)
+    eventually(lambda: len(listener.received) > received + 20)
+    assert rises_of_one(runtime, listener) == {1}
+
+
 def test_a_unit_whose_successor_fails_at_each_step_makes_the_steps_that_came_meanwhile(
     run_units: StartRuntime,
 ) -> None:

@@ -330,7 +330,7 @@ NEXT = "hold low.1, count.1/n > low.1/x, low.1/y > /result"
             Scene(MODES, mute={"low.1"}),
             (
                 "places low.1, wait in vain, ask high.1, wait, "
-                "low.1 after high.1: low.1 got no element within 0.5 s, give low.1 that of high.1 [], wait"
+                "low.1 after high.1: low.1 got no element within 0.5 s, give low.1 that of high.1 ['x'], wait"
             ),
         ),
     ],

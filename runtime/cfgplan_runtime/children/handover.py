@@ -16,7 +16,7 @@ from cfgplan_runtime.children.messages import GivenInput, StateTold
 from cfgplan_runtime.children.ports import Ports
 from cfgplan_runtime.children.steps import StepQueue
 from cfgplan_runtime.streams.channel import MOST_WAITING_BYTES
-from cfgplan_runtime.streams.element import BEFORE_ALL, Element, Moment
+from cfgplan_runtime.streams.element import Element, Moment
 from cfgplan_runtime.streams.inlet import port_of
 
 _MOST_HELD_NS = 5_000_000_000
@@ -185,8 +185,7 @@ class Handover:
             while kept:
                 self._steps.put(inlet, kept.popleft(), may_drop=False)
         inputs = {
-            name: self._steps.given(name, port.inlet.last, asked.get(name, BEFORE_ALL))
-            for name, port in self._ports.inputs.items()
+            name: self._steps.given(name, port.inlet.last, asked.get(name)) for name, port in self._ports.inputs.items()
         }
         self._ports.say(StateTold(state, inputs, dict(outputs)))
         if state is not None:

@@ -318,7 +318,7 @@ class Places(msgspec.Struct, tag=True):
 class StateTold(msgspec.Struct, tag=True):
     """A unit's state between two steps, with its place in each input, and the moment of each output's last element.
 
-    `state` is None if it keeps none.
+    `state` is empty if its code is to keep none, None if it has none to tell.
     """
 
     state: bytes | None

@@ -122,14 +122,17 @@ class StepQueue:
             waiting.popleft()
             self.dropped[port_of(inlet)] += 1
 
-    def given(self, inlet: str, last: Moment, until: Moment) -> GivenInput:
-        """Where the steps of an inlet stand, `last` being its last element, with its elements up to `until`."""
+    def given(self, inlet: str, last: Moment, until: Moment | None) -> GivenInput:
+        """Where the steps of an inlet stand, `last` being its last element, with its elements up to `until`; None if
+        nobody knows up to which ones they are needed: then only the latest one of past steps.
+        """
         waiting = self._waiting.get(inlet, ())
         done = (waiting[0].time_ns, waiting[0].turn - 1) if waiting else last
         latest = self._latest.get(inlet)
-        kept = [*([] if latest is None else [latest]), *waiting]
-        sent = [GivenElement(one.time_ns, one.turn, bytes(one.payload)) for one in kept if one.moment <= until]
-        return GivenInput(done, sent)
+        kept = [] if latest is None else [latest]
+        if until is not None:
+            kept = [one for one in (*kept, *waiting) if one.moment <= until]
+        return GivenInput(done, [GivenElement(one.time_ns, one.turn, bytes(one.payload)) for one in kept])
 
     def clear(self) -> None:
         """Forget the elements that wait."""

@@ -317,7 +317,8 @@ class UnitChild:
         if places is not None:
             self._ports.say(messages.Places(places))
         if self._handover.is_state_due and self._results is None and self._next_step is None:
-            self._handover.tell(self._state(), self._last)
+            keeps_none = self._order.state_name is None and self._program is None
+            self._handover.tell(b"" if keeps_none else self._state(), self._last)
 
     def _rest(self) -> None:
         """Tell the subscribers of a pause once no step can begin before a source that pauses gives an element."""

@@ -5,6 +5,7 @@ A generator yields commands and conditions to wait for; its driver carries each 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Generator, Iterable, Mapping, Set
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -315,7 +316,8 @@ class _Update:
             yield ActivateUnit(unit)
 
     def heirs(self) -> dict[str, str]:
-        """The fresh units that continue with the state of an ending unit, upstream units first, each with that unit.
+        """The fresh units that continue where an ending unit is, upstream units first, each with that unit: with its
+        state if they keep one, else with the elements that wait in it.
 
         An active unit counts before an inactive one: the state of a unit that an undone update has kept is older.
         """
@@ -329,9 +331,30 @@ class _Update:
             unit.id: old[name]
             for unit in self.after.units
             if unit.id in self.fresh and (name := _state_name(self.after, unit)) in old and name is not None
-        }
+        } | self.heirs_of_steps(ending)
         upstream = {unit: heirs.keys() & self.upstream(unit) for unit in heirs}
         return {unit: heirs[unit] for unit in sorted(heirs, key=lambda unit: len(upstream[unit]))}
+
+    def heirs_of_steps(self, ending: Set[str]) -> dict[str, str]:
+        """The fresh units without a state, each with the ending unit without a state whose streams it takes over, if
+        both have several inlets: in that unit elements may wait for those of another inlet.
+        """
+        actual = self.actual
+        old, new = Counter(inlet.unit for inlet in actual.feeds), Counter(inlet.unit for inlet in self.wanted)
+        found = dict[str, str]()
+        for inlet, stream in self.wanted.items():
+            fed = actual.feeds.get(inlet)
+            before = None if fed is None else fed.stream.unit
+            if before is None or before not in ending or stream.unit not in self.fresh:
+                continue
+            states = _state_name(actual.environment, actual.environment.unit[before]), self.state_name(stream.unit)
+            if states == (None, None) and min(old[before], new[stream.unit]) > 1:
+                found.setdefault(stream.unit, before)
+        return found
+
+    def state_name(self, unit: str) -> str | None:
+        """The name of the state that a wanted unit keeps; None if it keeps none."""
+        return _state_name(self.after, self.after.unit[unit])
 
     def upstream(self, unit: str) -> list[str]:
         """A unit, and all that feed it after the update."""
@@ -354,7 +377,7 @@ class _Update:
     def hand_over_state(self, before: str, heir: str) -> Generator[Command, None, bool]:
         """Let a new unit, which holds its steps, begin them with the state of the unit `before` it, at its place.
 
-        Returns whether that has told its state.
+        Returns whether that has told its state. Exceptions are not reported of units that keep no state.
         """
         actual, same = self.actual, self.same_inlets(before, heir)
         yield AskPlaces(heir, self.inlets_of_new_streams(before, heir))
@@ -375,13 +398,14 @@ class _Update:
         told = actual.answer(before)
         if not isinstance(told, StateTold) or told.state is None:
             cause = "its code has no state to tell" if told else f"it did not tell its state within {_STATE_S:g} s"
-            yield TellOf(StateNotExact(heir, before, cause))
+            if self.state_name(heir) is not None:
+                yield TellOf(StateNotExact(heir, before, cause))
             yield GiveState(heir)
             self.held.discard(heir)
             return False
-        if places is None:
+        if places is None and self.state_name(heir) is not None:
             yield TellOf(StateNotExact(heir, before, f"{heir} got no element within {_PLACES_S:g} s"))
-        inputs = {name: told.inputs[old] for name, old in same.items() if places and old in told.inputs}
+        inputs = {name: told.inputs[old] for name, old in same.items() if old in told.inputs}
         outputs = {
             self.wanted[inlet].port: told.outputs[old.port]
             for inlet, old in self.rewired.items()
