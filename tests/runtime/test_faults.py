@@ -546,6 +546,7 @@ def test_windows_is_refused_with_a_reason(monkeypatch: pytest.MonkeyPatch) -> No
     import cfgplan_runtime
 
     monkeypatch.setattr(sys, "platform", "win32")
+    monkeypatch.delitem(vars(cfgplan_runtime), "Runtime", raising=False)  # another test may have imported it
     with pytest.raises(UnsupportedPlatformError, match="needs Linux or macOS"):
         _ = cfgplan_runtime.Runtime
 
