@@ -122,6 +122,35 @@ def test_a_unit_whose_state_is_late_keeps_few_elements_holds_nobody_up_and_begin
     assert (handover.is_waiting, made(queue)) == (False, [{"x": 17}, {"x": 18}, {"x": 19}])
 
 
+@pytest.mark.parametrize("is_next", [True, False], ids=["the next unit", "a unit that stays"])
+def test_a_unit_that_is_slower_than_its_source_catches_up_after_a_hand_over(*, is_next: bool) -> None:
+    """Else it would work on old elements from then on: its queue drops all but the newest one."""
+    inlet = InputQueue(limit=10)
+    ports = SimpleNamespace(inputs={"x": SimpleNamespace(inlet=inlet)}, outputs={}, say=list[object]().append)
+    queue = StepQueue(["x"], start="all", tolerance_ns=0, limit=1)
+    handover = Handover(queue, cast("Ports", ports), 1)
+    if is_next:
+        handover.hold()
+    else:
+        inlet.last = (100, 0)
+        handover.ask_state({})
+        handover.tell(b"state", {})
+    numbers = iter(range(10_000))
+
+    def come(count: int) -> None:
+        for number in islice(numbers, count):
+            put = handover.keep if handover.is_keeping else queue.put
+            put("x", Element(number, 0, number, b""), may_drop=True)
+
+    come(20)
+    handover.begin({}) if is_next else handover.stay()
+    for _ in range(500):
+        handover.refill()
+        assert queue.next() is not None
+        come(2)
+    assert handover.waiting("x") + queue.waiting("x") <= 2
+
+
 def told(handover: Handover, said: list[object]) -> StateTold:
     """The answer of a unit that is asked for its state at once."""
     handover.ask_state({"x": (100, 0)})

@@ -27,6 +27,10 @@ NEVER_NS = 1 << 63
 """A time that never comes."""
 _MOST_HELD = 4096
 """The most elements that an inlet keeps: four seconds at 1,000 Hz."""
+_LESS_ROOM = 0.1
+"""For each kept element that goes to the steps, so many fewer may be kept: units that are at work for up to nine tenths
+of the time drop none.
+"""
 
 
 class Handover:
@@ -38,7 +42,7 @@ class Handover:
         self._limit = queue
         self._held: dict[str, deque[Element]] | None = None
         """By inlet the elements that the steps have not got yet; None if they get each at once."""
-        self._most = _MOST_HELD
+        self._most: float = _MOST_HELD
         self.is_waiting = False
         """Whether the unit waits for its state; no step begins before it comes."""
         self._late_ns = 0
@@ -116,15 +120,19 @@ class Handover:
                 received.last = max(received.last, given.done, *(one.moment for one in before))
                 held[inlet] = deque(self._steps.begin_at(inlet, given.done, chain(before, held.get(inlet, ()))))
         self._held = held
-        self._most = 2 * max(map(len, held.values()), default=0) + self._limit
 
     def refill(self) -> None:
-        """Give the steps the kept elements that they have room for."""
+        """Give the steps the kept elements that they have room for.
+
+        Each time, fewer elements may be kept: a unit that is slower than its sources would never catch up.
+        """
         if self._held is None or self.is_still:
             return
+        self._most = min(self._most, 2 * max(map(len, self._held.values()), default=0) + self._limit)
         for inlet, kept in self._held.items():
             while kept and not self._steps.is_full(inlet):
                 self._steps.put(inlet, kept.popleft(), may_drop=False)
+                self._most = max(self._limit, self._most - _LESS_ROOM)
         if not any(self._held.values()):
             self._held = None
 
