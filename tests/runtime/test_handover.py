@@ -177,6 +177,28 @@ def test_elements_that_have_no_room_among_the_steps_are_given_too() -> None:
     assert (given.done, [one.time_ns for one in given.elements]) == ((0, -1), [0, 1, 2, 3, 4])
 
 
+def test_elements_that_are_too_long_for_a_message_are_dropped_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Images that wait for a camera that is silent, for example."""
+    monkeypatch.setattr("cfgplan_runtime.children.handover._MOST_GIVEN_BYTES", 1000)
+    said = list[object]()
+    ports = SimpleNamespace(
+        inputs={name: SimpleNamespace(inlet=InputQueue(limit=10, last=(100, 0))) for name in "xz"},
+        outputs={},
+        say=said.append,
+    )
+    queue = StepQueue(["x", "z", "s"], start="all", tolerance_ns=0, limit=10)
+    handover = Handover(queue, cast("Ports", ports), 10)
+    for number in range(5):
+        queue.put("x", Element(number, 0, number, bytes(300)), may_drop=True)
+    queue.put("z", Element(1, 0, 0, bytes(200)), may_drop=True)
+    handover.ask_state({"x": (100, 0), "z": (100, 0)})
+    handover.tell(b"", {})
+    (answer,) = said
+    assert isinstance(answer, StateTold)
+    given = {name: [one.time_ns for one in one_input.elements] for name, one_input in answer.inputs.items()}
+    assert (given, queue.dropped) == ({"x": [3, 4], "z": [1]}, {"x": 3, "z": 0, "s": 0})
+
+
 def test_a_unit_that_is_asked_for_its_state_has_room_for_what_this_needs() -> None:
     """Its other input pauses, so that no step makes room."""
     inlet = InputQueue(limit=10)
