@@ -122,6 +122,35 @@ def test_a_unit_whose_state_is_late_keeps_few_elements_holds_nobody_up_and_begin
     assert (handover.is_waiting, made(queue)) == (False, [{"x": 17}, {"x": 18}, {"x": 19}])
 
 
+@pytest.mark.parametrize("is_next", [True, False], ids=["the next unit", "a unit that stays"])
+def test_a_unit_that_is_slower_than_its_source_catches_up_after_a_hand_over(*, is_next: bool) -> None:
+    """Else it would work on old elements from then on: its queue drops all but the newest one."""
+    inlet = InputQueue(limit=10)
+    ports = SimpleNamespace(inputs={"x": SimpleNamespace(inlet=inlet)}, outputs={}, say=list[object]().append)
+    queue = StepQueue(["x"], start="all", tolerance_ns=0, limit=1)
+    handover = Handover(queue, cast("Ports", ports), 1)
+    if is_next:
+        handover.hold()
+    else:
+        inlet.last = (100, 0)
+        handover.ask_state({})
+        handover.tell(b"state", {})
+    numbers = iter(range(10_000))
+
+    def come(count: int) -> None:
+        for number in islice(numbers, count):
+            put = handover.keep if handover.is_keeping else queue.put
+            put("x", Element(number, 0, number, b""), may_drop=True)
+
+    come(20)
+    handover.begin({}) if is_next else handover.stay()
+    for _ in range(500):
+        handover.refill()
+        assert queue.next() is not None
+        come(2)
+    assert handover.waiting("x") + queue.waiting("x") <= 2
+
+
 def told(handover: Handover, said: list[object]) -> StateTold:
     """The answer of a unit that is asked for its state at once."""
     handover.ask_state({"x": (100, 0)})
@@ -146,6 +175,28 @@ def test_elements_that_have_no_room_among_the_steps_are_given_too() -> None:
     handover.refill()
     given = told(handover, said).inputs["x"]
     assert (given.done, [one.time_ns for one in given.elements]) == ((0, -1), [0, 1, 2, 3, 4])
+
+
+def test_elements_that_are_too_long_for_a_message_are_dropped_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Images that wait for a camera that is silent, for example."""
+    monkeypatch.setattr("cfgplan_runtime.children.handover._MOST_GIVEN_BYTES", 1000)
+    said = list[object]()
+    ports = SimpleNamespace(
+        inputs={name: SimpleNamespace(inlet=InputQueue(limit=10, last=(100, 0))) for name in "xz"},
+        outputs={},
+        say=said.append,
+    )
+    queue = StepQueue(["x", "z", "s"], start="all", tolerance_ns=0, limit=10)
+    handover = Handover(queue, cast("Ports", ports), 10)
+    for number in range(5):
+        queue.put("x", Element(number, 0, number, bytes(300)), may_drop=True)
+    queue.put("z", Element(1, 0, 0, bytes(200)), may_drop=True)
+    handover.ask_state({"x": (100, 0), "z": (100, 0)})
+    handover.tell(b"", {})
+    (answer,) = said
+    assert isinstance(answer, StateTold)
+    given = {name: [one.time_ns for one in one_input.elements] for name, one_input in answer.inputs.items()}
+    assert (given, queue.dropped) == ({"x": [3, 4], "z": [1]}, {"x": 3, "z": 0, "s": 0})
 
 
 def test_a_unit_that_is_asked_for_its_state_has_room_for_what_this_needs() -> None:

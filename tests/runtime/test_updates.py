@@ -316,7 +316,8 @@ NEXT = "hold low.1, count.1/n > low.1/x, low.1/y > /result"
             Scene(MODES, mute={"high.1"}),
             (
                 "places low.1, wait, ask high.1 x, wait in vain, "
-                "low.1 after high.1: it did not tell its state within 1 s, give low.1 what is known [], wait"
+                "low.1 after high.1: it did not tell its state within 1 s, "
+                "give high.1 what is known [], give low.1 what is known [], wait"
             ),
         ),
         (
@@ -339,6 +340,57 @@ NEXT = "hold low.1, count.1/n > low.1/x, low.1/y > /result"
 def test_a_unit_goes_on_with_the_present_state_of_the_one_that_it_replaces(scene: Scene, said: str) -> None:
     scene.carry_out(LOWER)
     assert ", ".join(scene.said).startswith(f"start low.1, wait, {NEXT}, begin low.1, {said}, stop high.1")
+
+
+def joined(number: int, **more: str) -> ComputationUnit:
+    return unit(f"join.{number}", a="count.1/n", b="map.1/n", **more)
+
+
+MAP, JOIN = source("map"), worker("join", "add", inputs=("a", "b"))
+JOINING = Environment((COUNT, unit("map.1"), joined(1, topic="/result")), (source(), MAP, JOIN), (RESULT,))
+JOIN_AGAIN = ChangeSet(started=(joined(2, topic="/result"),), stopped=("join.1",))
+
+
+@pytest.mark.parametrize(
+    ("code", "is_held"),
+    [("units.py:Join", True), ("program:./join", False), ("node:package/join", False)],
+)
+def test_only_python_units_hand_over_the_elements_that_wait_in_them(code: str, *, is_held: bool) -> None:
+    scene = Scene(replace(JOINING, library=(source(), MAP, replace(JOIN, source=code))))
+    scene.carry_out(JOIN_AGAIN)
+    assert [said for said in scene.said if said.startswith(("hold", "places", "ask", "give"))] == (
+        ["hold join.2", "places join.2", "ask join.1 a b", "give join.2 that of join.1 ['a', 'b']"] if is_held else []
+    )
+
+
+def test_no_hand_over_waits_for_the_next_element_of_a_source_that_ends_and_gives_none() -> None:
+    """The new source gives at once: a map that comes once, for example."""
+    scene = Scene(JOINING, dry={"map.1"})
+    new = unit("join.2", topic="/result", a="count.1/n", b="map.2/n")
+    scene.carry_out(ChangeSet(started=(unit("map.2"), new), stopped=("join.1", "map.1")))
+    assert [said for said in scene.said if said.startswith(("places", "ask"))] == ["places join.2 b", "ask join.1 a"]
+
+
+def test_units_without_a_state_that_do_not_answer_hold_up_an_update_only_once() -> None:
+    """Their inputs come from a source that blocks in its code, for example."""
+    numbers = range(1, 21)
+    targets = [Target(f"t{number}", "Y", f"/{number}") for number in numbers]
+    library = [source(), MAP, *(replace(JOIN, label=f"join{number}") for number in numbers)]
+
+    def units(of: int) -> tuple[ComputationUnit, ...]:
+        return tuple(unit(f"join{number}.{of}", topic=f"/{number}", a="count.1/n", b="map.1/n") for number in numbers)
+
+    old, new = units(1), units(2)
+    environment = Environment((COUNT, unit("map.1"), *old), tuple(library), tuple(targets))
+    scene = Scene(environment, mute={one.id for one in (*old, *new)})
+    change_set = ChangeSet(started=new, stopped=tuple(one.id for one in old))
+    waited_s = 0.0
+    for command in carry_out(scene, change_set, environment_after(environment, change_set), Patience()):
+        if isinstance(command, WaitUntil) and not command.holds():
+            waited_s += command.patience_s
+        scene.obey(command)
+    assert len([said for said in scene.said if said.startswith("hold")]) == len(numbers)
+    assert waited_s <= 3.0
 
 
 def test_a_unit_that_an_undone_update_has_kept_is_given_the_state_by_the_next() -> None:

@@ -17,8 +17,8 @@ Incoming = TypeVar("Incoming")
 _MESSAGE_HEAD = struct.Struct("<II")
 _MOST_SOCKETS = 64
 _MESSAGE_CHUNK = 1 << 16
-_LONGEST_MESSAGE = 1 << 28
-"""The most bytes of a message; the longest ones have the state of a unit."""
+LONGEST_MESSAGE = 1 << 28
+"""The most bytes of a message; the longest ones have the state of a unit, or the elements that wait in it."""
 
 
 _decoders: dict[int, tuple[object, msgspec.msgpack.Decoder[Any]]] = {}
@@ -48,7 +48,7 @@ class ControlConnection(Generic[Incoming]):
         self._decoder: msgspec.msgpack.Decoder[Incoming] = decoder(incoming)
         self._received = bytearray()
         self._descriptors: deque[int] = deque()
-        self._waiting: deque[tuple[bytes, list[socket.socket]]] = deque()
+        self._waiting: deque[tuple[memoryview, list[socket.socket]]] = deque()
 
     @property
     def is_waiting(self) -> bool:
@@ -62,7 +62,8 @@ class ControlConnection(Generic[Incoming]):
                 attached.close()
             return
         body = msgspec.msgpack.encode(message)
-        self._waiting.append((_MESSAGE_HEAD.pack(len(body), len(sockets)) + body, list(sockets)))
+        data = memoryview(_MESSAGE_HEAD.pack(len(body), len(sockets)) + body)  # the rest of a long one is not copied
+        self._waiting.append((data, list(sockets)))
         self.flush()
 
     def flush(self) -> bool:
@@ -120,7 +121,7 @@ class ControlConnection(Generic[Incoming]):
         while len(self._received) >= _MESSAGE_HEAD.size:
             length, count = _MESSAGE_HEAD.unpack_from(self._received)
             end = _MESSAGE_HEAD.size + length
-            if length > _LONGEST_MESSAGE or count > _MOST_SOCKETS:
+            if length > LONGEST_MESSAGE or count > _MOST_SOCKETS:
                 self._garble()
                 return
             if len(self._received) < end:

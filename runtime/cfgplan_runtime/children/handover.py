@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Collection, Mapping
 from itertools import chain
 
+from cfgplan_runtime.children.control import LONGEST_MESSAGE
 from cfgplan_runtime.children.messages import GivenInput, StateTold
 from cfgplan_runtime.children.ports import Ports
 from cfgplan_runtime.children.steps import StepQueue
@@ -27,6 +28,12 @@ NEVER_NS = 1 << 63
 """A time that never comes."""
 _MOST_HELD = 4096
 """The most elements that an inlet keeps: four seconds at 1,000 Hz."""
+_MOST_GIVEN_BYTES = LONGEST_MESSAGE // 2
+"""The most bytes of elements that the next unit is given."""
+_LESS_ROOM = 0.1
+"""For each kept element that goes to the steps, so many fewer may be kept: units that are at work for up to nine tenths
+of the time drop none.
+"""
 
 
 class Handover:
@@ -38,7 +45,7 @@ class Handover:
         self._limit = queue
         self._held: dict[str, deque[Element]] | None = None
         """By inlet the elements that the steps have not got yet; None if they get each at once."""
-        self._most = _MOST_HELD
+        self._most: float = _MOST_HELD
         self.is_waiting = False
         """Whether the unit waits for its state; no step begins before it comes."""
         self._late_ns = 0
@@ -116,15 +123,19 @@ class Handover:
                 received.last = max(received.last, given.done, *(one.moment for one in before))
                 held[inlet] = deque(self._steps.begin_at(inlet, given.done, chain(before, held.get(inlet, ()))))
         self._held = held
-        self._most = 2 * max(map(len, held.values()), default=0) + self._limit
 
     def refill(self) -> None:
-        """Give the steps the kept elements that they have room for."""
+        """Give the steps the kept elements that they have room for.
+
+        Each time, fewer elements may be kept: a unit that is slower than its sources would never catch up.
+        """
         if self._held is None or self.is_still:
             return
+        self._most = min(self._most, 2 * max(map(len, self._held.values()), default=0) + self._limit)
         for inlet, kept in self._held.items():
             while kept and not self._steps.is_full(inlet):
                 self._steps.put(inlet, kept.popleft(), may_drop=False)
+                self._most = max(self._limit, self._most - _LESS_ROOM)
         if not any(self._held.values()):
             self._held = None
 
@@ -175,6 +186,19 @@ class Handover:
         if self._paused_until_ns:
             self._paused_until_ns = NEVER_NS
 
+    def _limit_bytes(self, inputs: Mapping[str, GivenInput]) -> None:
+        """Drop the oldest given elements that are too many for a message, of the inlet that has the most bytes."""
+        sizes = {name: deque(len(one.payload) for one in given.elements) for name, given in inputs.items()}
+        totals = {name: sum(each) for name, each in sizes.items()}
+        while sum(totals.values()) > _MOST_GIVEN_BYTES:
+            name = max(totals, key=totals.__getitem__)
+            totals[name] -= sizes[name].popleft()
+        for name, each in sizes.items():
+            given = inputs[name]
+            lost = given.elements[: len(given.elements) - len(each)]
+            del given.elements[: len(lost)]
+            self._steps.dropped[port_of(name)] += sum((one.time_ns, one.turn) > given.done for one in lost)
+
     def tell(self, state: bytes | None, outputs: Mapping[str, Moment]) -> None:
         """Tell the asked state between two steps, and the moment of each output's last element. Then pause: the
         next unit makes the steps from here on, perhaps in another way.
@@ -187,6 +211,7 @@ class Handover:
         inputs = {
             name: self._steps.given(name, port.inlet.last, asked.get(name)) for name, port in self._ports.inputs.items()
         }
+        self._limit_bytes(inputs)
         self._ports.say(StateTold(state, inputs, dict(outputs)))
         if state is not None:
             self._paused_until_ns = time.monotonic_ns() + _MOST_HELD_NS

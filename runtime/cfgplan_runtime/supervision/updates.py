@@ -6,7 +6,7 @@ A generator yields commands and conditions to wait for; its driver carries each 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Generator, Iterable, Mapping, Set
+from collections.abc import Callable, Generator, Iterable, Mapping, Set
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Protocol, TypeAlias
@@ -14,6 +14,8 @@ from typing import Protocol, TypeAlias
 from cfgplan.domain import ALL, ChangeSet, ComputationUnit, Environment, Stream
 from cfgplan.errors import InvalidValueError
 from cfgplan.onward import grouped, reached
+from cfgplan.ros.sources import NodeSource
+from cfgplan_runtime.children.program_source import names_program
 from cfgplan_runtime.errors import AbandonedError, ApplyError, NoSourceError, StaleChangeSetError
 from cfgplan_runtime.supervision import wiring
 from cfgplan_runtime.supervision.backend import Inlet
@@ -47,6 +49,8 @@ _PLACES_S, _STATE_S = 0.5, 1.0
 """Seconds that a new unit has to tell its places, and the unit that it replaces to tell its state. Otherwise the last
 known state counts.
 """
+_ANSWER_S = 0.05
+"""Seconds that a unit without a state has for each answer, once _STATE_S were waited in vain for others."""
 STOP_AGAIN = 0.5
 """The share of its time to end after which a unit is told to stop again, which interrupts code that blocks."""
 TIME_TO_DUMP_S = 0.2
@@ -229,6 +233,8 @@ class _Update:
     """The units that wait for a state."""
     asked: set[str] = field(default_factory=set)
     """The units that were asked for their state."""
+    vain_s: list[float] = field(default_factory=list)
+    """The seconds of each wait in vain in hand-overs to units without a state."""
     activated: set[str] = field(default_factory=set)
     """The units that began in the update: new ones, and those that an undone update has kept."""
 
@@ -282,12 +288,11 @@ class _Update:
         yield from self.activate(unit.id for unit in self.after.units)
         paused = set[str]()
         for unit, before in heirs.items():
-            yield from self.await_others(before, heirs)
+            yield from self.await_others(before, unit, heirs)
             is_told = yield from self.hand_over_state(before, unit)
             if is_told and not self.after.transformation[self.after.unit[unit].transformation].inputs:
                 paused.add(before)
-        idle = wiring.starved_units(actual.environment) | actual.dry_units() | paused
-        starved = idle.intersection(self.change_set.stopped)
+        starved = self.idle_units() | paused.intersection(self.change_set.stopped)
         yield WaitUntil(
             lambda: bool(self.dead()) or self.may_end(starved),
             self.patience.switch_s,
@@ -337,7 +342,7 @@ class _Update:
 
     def heirs_of_steps(self, ending: Set[str]) -> dict[str, str]:
         """The fresh units without a state, each with the ending unit without a state whose streams it takes over, if
-        both have several inlets: in that unit elements may wait for those of another inlet.
+        both are Python code with several inlets: in that unit elements may wait for those of another inlet.
         """
         actual = self.actual
         old, new = Counter(inlet.unit for inlet in actual.feeds), Counter(inlet.unit for inlet in self.wanted)
@@ -347,10 +352,15 @@ class _Update:
             before = None if fed is None else fed.stream.unit
             if before is None or before not in ending or stream.unit not in self.fresh:
                 continue
-            states = _state_name(actual.environment, actual.environment.unit[before]), self.state_name(stream.unit)
-            if states == (None, None) and min(old[before], new[stream.unit]) > 1:
+            units = (actual.environment, before), (self.after, stream.unit)
+            if min(old[before], new[stream.unit]) > 1 and all(_hands_over_steps(*each) for each in units):
                 found.setdefault(stream.unit, before)
         return found
+
+    def idle_units(self) -> set[str]:
+        """The ending units that give no elements."""
+        idle = wiring.starved_units(self.actual.environment) | self.actual.dry_units()
+        return idle.intersection(self.change_set.stopped)
 
     def state_name(self, unit: str) -> str | None:
         """The name of the state that a wanted unit keeps; None if it keeps none."""
@@ -361,7 +371,19 @@ class _Update:
         feeding = grouped((inlet.unit, stream.unit) for inlet, stream in self.wanted.items())
         return reached([unit], lambda one: feeding.get(one, ()))
 
-    def await_others(self, before: str, heirs: Mapping[str, str]) -> Commands:
+    def await_handover(self, heir: str, holds: Callable[[], bool], patience_s: float) -> Commands:
+        """Wait for a part of a hand-over. In all hand-overs to units without a state together, an update waits at most
+        _STATE_S in vain, and then _ANSWER_S for each part: they are more exact, but nobody should notice them.
+        """
+        has_state, began_s = self.state_name(heir) is not None, self.actual.now()
+        if not has_state:
+            patience_s = max(_ANSWER_S, min(patience_s, _STATE_S - sum(self.vain_s)))
+        yield WaitUntil(lambda: holds() or bool(self.dead()), patience_s)
+        self.fail_if_dead()
+        if not has_state and not holds():
+            self.vain_s.append(self.actual.now() - began_s)
+
+    def await_others(self, before: str, heir: str, heirs: Mapping[str, str]) -> Commands:
         """Wait until inlets have switched that the unit `before` fed and that none of the heirs feeds, directly or by
         others: they need its elements up to the first one of their new source.
         """
@@ -372,34 +394,38 @@ class _Update:
         }
         inlets = [inlet for inlet, unit in others.items() if heirs.keys().isdisjoint(self.upstream(unit))]
         if inlets:
-            yield WaitUntil(lambda: bool(self.dead()) or not any(map(self.is_switching, inlets)), _PLACES_S)
+            yield from self.await_handover(heir, lambda: not any(map(self.is_switching, inlets)), _PLACES_S)
 
     def hand_over_state(self, before: str, heir: str) -> Generator[Command, None, bool]:
         """Let a new unit, which holds its steps, begin them with the state of the unit `before` it, at its place.
 
-        Returns whether that has told its state. Exceptions are not reported of units that keep no state.
+        It waits for no element of ending units that give none. Returns whether the state was told. Exceptions are not
+        reported of units that keep no state.
         """
         actual, same = self.actual, self.same_inlets(before, heir)
         yield AskPlaces(heir, self.inlets_of_new_streams(before, heir))
-        yield WaitUntil(
-            lambda: actual.answer(heir) is not None or not {before, heir} <= actual.alive or bool(self.dead()),
-            _PLACES_S,
+        yield from self.await_handover(
+            heir, lambda: actual.answer(heir) is not None or not {before, heir} <= actual.alive, _PLACES_S
         )
-        self.fail_if_dead()
         places = actual.answer(heir)
         known = places.moments if isinstance(places, PlacesTold) else {}
-        until = {same[name]: moment for name, moment in known.items() if name in same}
+        idle = self.idle_units()
+        fed = {
+            inlet.port for inlet, wire in actual.feeds.items() if inlet.unit == before and wire.stream.unit not in idle
+        }
+        until = {same[name]: moment for name, moment in known.items() if same.get(name) in fed}
         self.asked.add(before)
         yield AskState(before, until, heir)
-        yield WaitUntil(
-            lambda: actual.answer(before) is not None or before not in actual.alive or bool(self.dead()), _STATE_S
+        yield from self.await_handover(
+            heir, lambda: actual.answer(before) is not None or before not in actual.alive, _STATE_S
         )
-        self.fail_if_dead()
         told = actual.answer(before)
         if not isinstance(told, StateTold) or told.state is None:
             cause = "its code has no state to tell" if told else f"it did not tell its state within {_STATE_S:g} s"
             if self.state_name(heir) is not None:
                 yield TellOf(StateNotExact(heir, before, cause))
+            if told is None and before in actual.alive:
+                yield GiveState(before)  # it must not pause later: nobody else makes the steps that wait in it
             yield GiveState(heir)
             self.held.discard(heir)
             return False
@@ -602,6 +628,13 @@ class _Update:
 def _state_name(environment: Environment, unit: ComputationUnit) -> str | None:
     transformation = environment.transformation.get(unit.transformation)
     return None if transformation is None else transformation.state_name
+
+
+def _hands_over_steps(environment: Environment, unit: str) -> bool:
+    """Whether a unit is Python code without a state; programs and nodes can't tell which elements wait in them."""
+    transformation = environment.transformation.get(environment.unit[unit].transformation)
+    source = None if transformation is None or transformation.state_name else transformation.source
+    return source is not None and not names_program(source) and NodeSource.read(source) is None
 
 
 def _were(units: list[str]) -> str:
