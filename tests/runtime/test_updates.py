@@ -316,21 +316,21 @@ NEXT = "hold low.1, count.1/n > low.1/x, low.1/y > /result"
             Scene(MODES, mute={"high.1"}),
             (
                 "places low.1, wait, ask high.1 x, wait in vain, "
-                "low.1 after high.1: it did not tell its state within 1 s, give low.1 what is known [], wait"
+                "low.1 after high.1: high.1 did not tell its state within 1 s, give low.1 what is known [], wait"
             ),
         ),
         (
             Scene(MODES, stateless={"high.1"}),
             (
                 "places low.1, wait, ask high.1 x, wait, "
-                "low.1 after high.1: its code has no state to tell, give low.1 what is known [], wait"
+                "low.1 after high.1: the code of high.1 gives no state, give low.1 what is known [], wait"
             ),
         ),
         (
             Scene(MODES, mute={"low.1"}),
             (
                 "places low.1, wait in vain, ask high.1, wait, "
-                "low.1 after high.1: low.1 got no element within 0.5 s, give low.1 that of high.1 ['x'], wait"
+                "low.1 after high.1: an input of low.1 got nothing within 0.5 s, give low.1 that of high.1 ['x'], wait"
             ),
         ),
     ],
