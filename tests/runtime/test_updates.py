@@ -121,6 +121,8 @@ class Scene:
             case ActivateUnit(name):
                 self.inactive.remove(name)
                 self.said.append(f"begin {name}")
+                if name in self.dying:
+                    self._end(name)
             case DeactivateUnit(name):
                 self.inactive.add(name)
                 self.said.append(f"pause {name}")
@@ -530,6 +532,15 @@ def test_a_unit_that_an_undone_update_has_kept_pauses_again_if_the_next_is_undon
         scene.carry_out(ChangeSet(started, rewired=(replace(WORK, publications=()),)), keeps_new=keeps_new)
     assert "begin give.1" in scene.said
     assert scene.inactive == {"give.1"}
+
+
+def test_an_update_is_undone_if_a_unit_that_an_undone_one_has_kept_dies() -> None:
+    scene = Scene(replace(RUNNING, units=(*RUNNING.units, unit("work.2"))), dying={"work.2"})
+    scene.inactive = {"work.2"}
+    with pytest.raises(ApplyError, match=r"work\.2 died"):
+        scene.carry_out(ChangeSet(rewired=(unit("work.2", topic="/result", x="count.1/n"),), stopped=("work.1",)))
+    assert "stop work.1" not in scene.said
+    assert scene.environment.unit.keys() == {"count.1", "work.1"}
 
 
 @pytest.mark.parametrize("kept", ["high.0", "high.2"])

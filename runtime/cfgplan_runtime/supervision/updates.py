@@ -239,6 +239,8 @@ class _Update:
 
     def start(self) -> Commands:
         actual = self.actual
+        connected = {wire.stream.unit for wire in actual.feeds.values()} | {inlet.unit for inlet in actual.feeds}
+        self.fresh.update(self.wired() & self.after.unit.keys() - connected, self.started)
         for topic, host in sorted(wiring.wanted_topics(self.after).items()):
             if topic in actual.topics and actual.topics[topic] != host:
                 yield from self.close_topic_elsewhere(topic)
@@ -264,8 +266,6 @@ class _Update:
 
     def rewire(self) -> Commands:
         actual, wanted = self.actual, self.wanted
-        connected = {wire.stream.unit for wire in actual.feeds.values()} | {inlet.unit for inlet in actual.feeds}
-        self.fresh.update(self.wired() - connected, self.started)
         heirs = self.heirs()
         for unit in heirs:
             self.held.add(unit)
@@ -583,7 +583,7 @@ class _Update:
         return sorted(units & self.actual.alive - self.actual.ready)
 
     def dead(self) -> list[str]:
-        return [unit for unit in self.started if unit not in self.actual.alive]
+        return sorted(self.fresh - self.actual.alive)
 
     def fail_if_dead(self) -> None:
         dead = self.dead()
