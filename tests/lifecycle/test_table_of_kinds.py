@@ -14,7 +14,16 @@ import pytest
 from cfgplan_runtime.lifecycle import kinds
 from cfgplan_runtime.lifecycle.kinds import KINDS, Level, Urgency, growths, level, sentence
 from cfgplan_runtime.lifecycle.perturbations import Perturbation, SubscriptionLost, UnitGone
-from cfgplan_runtime.lifecycle.reports import Ended, Perturbed, Report, Reviewed, UnitEvent, WorldRefused
+from cfgplan_runtime.lifecycle.reports import (
+    Decision,
+    Ended,
+    Perturbed,
+    Report,
+    Review,
+    Reviewed,
+    UnitEvent,
+    WorldRefused,
+)
 from cfgplan_runtime.supervision.events import SIGNS, Event, UnitDied, UnitPrinted, UnitReady
 
 import cfgplan
@@ -137,3 +146,9 @@ def test_an_event_of_a_kind_that_a_middleware_has_made_up_is_news_without_a_sent
 
 def test_a_lost_subscription_is_no_cause_of_its_own_beside_a_death() -> None:
     assert KINDS[SubscriptionLost].implied_by is UnitGone
+
+
+def test_a_review_names_each_cause_once_with_all_transformations_that_are_left_out_for_it() -> None:
+    avoided = {"camera": "units.py:1", "lidar": "r1 is gone", "map": "units.py:1"}
+    review = Review(2, 0.0, 0.0, (), Decision.KEPT, 60, 0, avoided=avoided)
+    assert "without camera, map (units.py:1), lidar (r1 is gone); " in kinds.review_sentence(review)

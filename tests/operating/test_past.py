@@ -79,3 +79,12 @@ def test_streams_of_units_that_are_gone_are_forgotten() -> None:
     assert [record["silent_s"] is None for record in rates.records()] == [False]
     rates.hear(Observed(()))
     assert rates.records() == []
+
+
+def test_a_new_unit_with_the_id_of_a_dead_one_has_a_rate_of_its_own() -> None:
+    clock = Clock()
+    rates = StreamRates(clock)
+    for second, elements in enumerate([0, 10, 20, 5, 15]):
+        clock.now_s = float(second)
+        rates.hear(seen(elements))
+    assert [(record["rate_hz"], record["silent_s"]) for record in rates.records()] == [(10.0, 0.0)]

@@ -373,10 +373,10 @@ def test_a_unit_without_a_state_pauses_with_the_one_that_feeds_it(run_units: Sta
     assert rises_of_one(runtime, listener) == {1}
 
 
-@pytest.mark.parametrize("start_rule", ["all", "aligned"])
-def test_inputs_stay_paired_if_a_unit_without_a_state_is_replaced(run_units: StartRuntime, start_rule: str) -> None:
+@pytest.mark.parametrize("run", [RunOptions(), RunOptions(start="aligned"), RunOptions(state="kept")])
+def test_inputs_stay_paired_if_a_unit_without_a_state_is_replaced(run_units: StartRuntime, run: RunOptions) -> None:
     """Both come from one source, one of them through another unit: the sums of equal numbers are even."""
-    add = worker("add", "add", inputs=("a", "b"), run=RunOptions(start=start_rule))
+    add = worker("add", "add", inputs=("a", "b"), run=run)
     runtime = run_units(source(rate_hz=1000), worker("same"), add)
     feeds = {"a": "count.1/n", "b": "same.1/y"}
     runtime.apply(start(unit("count.1"), unit("same.1", x="count.1/n"), unit("add.0", topic="/result", **feeds)))
@@ -468,7 +468,8 @@ def test_a_source_goes_on_where_the_one_before_has_ended(run_units: StartRuntime
 
 
 @pytest.mark.parametrize(
-    ("deed", "cause"), [("fail", "its code has no state to tell"), ("sleep", "it did not tell its state within 1 s")]
+    ("deed", "cause"),
+    [("fail", "the code of high.0 gives no state"), ("sleep", "high.0 did not tell its state within 1 s")],
 )
 def test_a_unit_that_does_not_tell_its_state_is_replaced_all_the_same(
     run_units: StartRuntime, deed: str, cause: str

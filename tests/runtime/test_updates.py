@@ -121,6 +121,8 @@ class Scene:
             case ActivateUnit(name):
                 self.inactive.remove(name)
                 self.said.append(f"begin {name}")
+                if name in self.dying:
+                    self._end(name)
             case DeactivateUnit(name):
                 self.inactive.add(name)
                 self.said.append(f"pause {name}")
@@ -316,7 +318,7 @@ NEXT = "hold low.1, count.1/n > low.1/x, low.1/y > /result"
             Scene(MODES, mute={"high.1"}),
             (
                 "places low.1, wait, ask high.1 x, wait in vain, "
-                "low.1 after high.1: it did not tell its state within 1 s, "
+                "low.1 after high.1: high.1 did not tell its state within 1 s, "
                 "give high.1 what is known [], give low.1 what is known [], wait"
             ),
         ),
@@ -324,14 +326,14 @@ NEXT = "hold low.1, count.1/n > low.1/x, low.1/y > /result"
             Scene(MODES, stateless={"high.1"}),
             (
                 "places low.1, wait, ask high.1 x, wait, "
-                "low.1 after high.1: its code has no state to tell, give low.1 what is known [], wait"
+                "low.1 after high.1: the code of high.1 gives no state, give low.1 what is known [], wait"
             ),
         ),
         (
             Scene(MODES, mute={"low.1"}),
             (
                 "places low.1, wait in vain, ask high.1, wait, "
-                "low.1 after high.1: low.1 got no element within 0.5 s, give low.1 that of high.1 ['x'], wait"
+                "low.1 after high.1: an input of low.1 got nothing within 0.5 s, give low.1 that of high.1 ['x'], wait"
             ),
         ),
     ],
@@ -582,6 +584,15 @@ def test_a_unit_that_an_undone_update_has_kept_pauses_again_if_the_next_is_undon
         scene.carry_out(ChangeSet(started, rewired=(replace(WORK, publications=()),)), keeps_new=keeps_new)
     assert "begin give.1" in scene.said
     assert scene.inactive == {"give.1"}
+
+
+def test_an_update_is_undone_if_a_unit_that_an_undone_one_has_kept_dies() -> None:
+    scene = Scene(replace(RUNNING, units=(*RUNNING.units, unit("work.2"))), dying={"work.2"})
+    scene.inactive = {"work.2"}
+    with pytest.raises(ApplyError, match=r"work\.2 died"):
+        scene.carry_out(ChangeSet(rewired=(unit("work.2", topic="/result", x="count.1/n"),), stopped=("work.1",)))
+    assert "stop work.1" not in scene.said
+    assert scene.environment.unit.keys() == {"count.1", "work.1"}
 
 
 @pytest.mark.parametrize("kept", ["high.0", "high.2"])

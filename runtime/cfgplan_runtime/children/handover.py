@@ -96,8 +96,9 @@ class Handover:
     def is_full(self, inlet: str) -> bool:
         """Whether an inlet keeps as many elements as may wait for its steps.
 
-        A unit that is still has more room: its producers also feed the other unit of the hand-over, and must not wait.
-        One that is asked for its state has room for the elements that this needs, even if no step can use them yet.
+        A unit that may make no step has more room: its producers also feed the other unit of the hand-over, and must
+        not wait. A unit that is asked for its state has room for the elements that the state needs, even if no step can
+        use them yet.
         """
         kept = deque[Element]() if self._held is None else self._held.get(inlet, deque())
         if self._is_late or self._needs(inlet):
@@ -170,7 +171,7 @@ class Handover:
     def _needs(self, inlet: str) -> bool:
         """Whether the state that is asked for needs elements of an inlet that have not been received.
 
-        If the inlet's source pauses, all have: the next source's first element comes after them.
+        A source that pauses has sent all of them: the next source's first element comes after them.
         """
         port = self._ports.inputs.get(inlet)
         if self._asked is None or inlet not in self._asked or port is None:
@@ -182,7 +183,7 @@ class Handover:
         self._asked, self._paused_until_ns = None, 0
 
     def end(self) -> None:
-        """Make no step any more if the state was told: the next unit makes those that wait."""
+        """If the state was told, make no further step: the next unit makes the steps that wait."""
         if self._paused_until_ns:
             self._paused_until_ns = NEVER_NS
 
@@ -200,8 +201,8 @@ class Handover:
             self._steps.dropped[port_of(name)] += sum((one.time_ns, one.turn) > given.done for one in lost)
 
     def tell(self, state: bytes | None, outputs: Mapping[str, Moment]) -> None:
-        """Tell the asked state between two steps, and the moment of each output's last element. Then pause: the
-        next unit makes the steps from here on, perhaps in another way.
+        """Tell the state that was asked for, and the moment of each output's last element. Then pause: the next unit
+        makes the steps from here on, perhaps in another way.
         """
         assert self._asked is not None
         asked, self._asked = self._asked, None

@@ -195,8 +195,8 @@ class GivenInput(msgspec.Struct, frozen=True):
 
 
 class TakeState(msgspec.Struct, tag=True):
-    """Take the state of an earlier unit, if there is one, and begin with the steps after it, by inlet. The elements of
-    each output in `outputs` come after this moment.
+    """Take the state of an earlier unit, if one is given, and begin at its place in each inlet of `inputs`. Elements of
+    each output in `outputs` come after its moment.
 
     A unit that does not wait for a state continues with its own: it is not replaced after all.
     """
@@ -318,7 +318,7 @@ class Places(msgspec.Struct, tag=True):
 class StateTold(msgspec.Struct, tag=True):
     """A unit's state between two steps, with its place in each input, and the moment of each output's last element.
 
-    `state` is empty if its code is to keep none, None if it has none to tell.
+    `state` is empty if its code gives none. It is None if the unit does not know its place either, and does not pause.
     """
 
     state: bytes | None

@@ -51,7 +51,7 @@ class UnitInput:
     pause: Callable[[], None] = _nothing
     """Called when its source pauses, and no other takes its place."""
     is_still: bool = False
-    """Whether its source pauses, as far as was told by `pause`."""
+    """Whether its source paused when this was last looked at."""
     receivers: dict[int, Receiver] = field(default_factory=dict)
     announced: int | None = None
     """The active source that was last reported to the supervisor."""

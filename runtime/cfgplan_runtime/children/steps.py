@@ -123,8 +123,8 @@ class StepQueue:
             self.dropped[port_of(inlet)] += 1
 
     def given(self, inlet: str, last: Moment, until: Moment | None) -> GivenInput:
-        """Where the steps of an inlet stand, `last` being its last element, with its elements up to `until`; None if
-        nobody knows up to which ones they are needed: then only the latest one of past steps.
+        """Return the place of an inlet, whose last element is `last`, with its elements up to `until`. If that is None,
+        the needed elements are unknown, and only the latest one of past steps is returned.
         """
         waiting = self._waiting.get(inlet, ())
         done = (waiting[0].time_ns, waiting[0].turn - 1) if waiting else last

@@ -92,12 +92,12 @@ class UnitChild:
         """
         self._is_exhausted = self._is_finishing = self._is_interrupted = self._is_closing = False
         self._since_ns = NEVER_NS
-        """Since when unit code is at one piece of work; NEVER_NS while it is not called."""
+        """When the present call of unit code began; NEVER_NS while it is not called."""
         self._raised: Exception | None = None
         """The last exception of a source that has given nothing since; the cause if the source then ends."""
         self._tick_ns = 0
         self._may_rest = False
-        """Whether a source pauses, and the subscribers have not been told that therefore this unit does."""
+        """Whether a source pauses, so that this unit may pause too, and its subscribers do not know it yet."""
         self._is_idle = False
         """Whether nothing has come and nothing was due since the last sign of life."""
 
@@ -317,8 +317,7 @@ class UnitChild:
         if places is not None:
             self._ports.say(messages.Places(places))
         if self._handover.is_state_due and self._results is None and self._next_step is None:
-            keeps_none = self._order.state_name is None and self._program is None
-            self._handover.tell(b"" if keeps_none else self._state(), self._last)
+            self._handover.tell(None if self._program is not None else self._state() or b"", self._last)
 
     def _rest(self) -> None:
         """Tell the subscribers of a pause once no step can begin before a source that pauses gives an element."""

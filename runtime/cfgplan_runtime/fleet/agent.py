@@ -474,7 +474,7 @@ class Agent:
         """Keep a state of a unit for the next manager."""
         held = None if unit in self._ending else self._held.units.get(unit)
         name = None if held is None else held.order.state_name
-        if state is not None and name is not None:
+        if state and name is not None:
             ahead_ns = self._held.ahead_ns or 0
             now_ns = time.monotonic_ns() + self._backend.clock_offset_ns - ahead_ns
             self._states[name] = orders.HeldState(now_ns, state)

@@ -15,6 +15,7 @@ from types import MappingProxyType
 from typing import Any, Final, Generic, Literal, TypeAlias, TypeVar
 
 from cfgplan.amounts import mbit, span
+from cfgplan.onward import grouped
 from cfgplan.summary import counted, some
 from cfgplan_runtime.lifecycle import perturbations, reports
 from cfgplan_runtime.lifecycle.review_sentences import TRACEBACK, decision, named, short
@@ -175,7 +176,8 @@ def review_sentence(review: reports.Review) -> str:
     if review.unmet:
         parts += [f"{label} is not met: {reason}" for label, reason in sorted(review.unmet.items())]
     elif review.avoided:
-        parts.append(f"without {some(f'{label} ({why})' for label, why in review.avoided.items())}")
+        labels_of = grouped((why, label) for label, why in review.avoided.items())
+        parts.append(f"without {some(f'{named(labels)} ({why})' for why, labels in labels_of.items())}")
     if review.undecided:
         (offered, demanded), more = review.undecided[0], len(review.undecided) - 1
         others = f" (and {more} more such pairs)" if more else ""

@@ -12,6 +12,7 @@ from typing import TypeAlias
 
 from cfgplan.domain import ComputationUnit
 from cfgplan.errors import Fault
+from cfgplan.onward import grouped
 from cfgplan.transformations import Transformation
 from cfgplan_runtime.children.source_faults import code_path
 from cfgplan_runtime.lifecycle.changes import FaultyCode, RestartUnits
@@ -33,7 +34,7 @@ def faults_of(library: Iterable[Transformation], folder: Path, check: SourceChec
 def left_out_text(labels: Sequence[str], fault: str) -> str:
     """Return the report of transformations whose code can't be started."""
     one, many = "is left out until its code changes", "are left out until their code changes"
-    return f"{', '.join(labels)} {one if len(labels) == 1 else many}: {fault}"
+    return f"{named(labels)} {one if len(labels) == 1 else many}: {fault}"
 
 
 class Sources(FileWatch):
@@ -93,9 +94,13 @@ class Sources(FileWatch):
 
     def _note(self, faults: Mapping[str, str], changed: Collection[str]) -> None:
         before, self._faults = self._faults, dict(faults)
-        for label, fault in faults.items():
-            if fault not in (before.get(label), self._shown.get(label)):
-                self._say(left_out_text([label], fault))
+        new = [
+            (fault, label)
+            for label, fault in faults.items()
+            if fault not in (before.get(label), self._shown.get(label))
+        ]
+        for fault, labels in grouped(new).items():
+            self._say(left_out_text(labels, fault))
         self._shown = {}
         if faults != before or changed:
             self._request(FaultyCode(dict(faults), tuple(sorted(changed))))

@@ -41,6 +41,8 @@ class StreamRates:
                 self._given_s.pop(gone, None)
             for stream, elements in counts.items():
                 known = self._counts.setdefault(stream, deque())
+                if known and elements < known[-1][1]:  # a new unit of the same id counts from 0
+                    known.clear()
                 if elements > (known[-1][1] if known else 0):
                     self._given_s[stream] = now_s
                 known.append((now_s, elements))

@@ -63,7 +63,7 @@ class Sender:
         self._waiting_bytes = 0
         self._rest: memoryview | None = None
         self._is_to_pause = False
-        """Whether the receiver is to be told of a pause after the elements that wait."""
+        """Whether a pause is announced to the receiver after the elements that wait."""
 
     @property
     def is_full(self) -> bool:
@@ -149,7 +149,7 @@ class Sender:
         self._rest = None
 
     def _say(self, head: bytes) -> None:
-        """Send a header that is no element, while nothing waits."""
+        """Send a header that is no element. It may be called only while no element waits."""
         sent = self._try([head])
         if sent < len(head) and not self.is_closed:
             self._rest = memoryview(head)[sent:]
@@ -182,7 +182,7 @@ class Receiver:
         self.before = 0
         """How many elements the sender had given by then."""
         self.is_paused = False
-        """Whether the sender has told after its last element that it pauses."""
+        """Whether the sender has announced a pause after its last element."""
         self._chunk = memoryview(bytearray(_FIRST_CHUNK))
         self._pending = b""
         self._header: tuple[int, int, int, int] | None = None

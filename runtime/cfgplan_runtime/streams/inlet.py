@@ -3,7 +3,8 @@
 An inlet has an active source and, while it is rewired, a standby. The standby's elements wait until the active source
 has sent everything before the first of them. Then the inlet switches, and skips elements of the standby that are not
 newer. So the moments of the elements that it delivers always rise. A unit that has given its state to the next one
-pauses, and so does a unit that it feeds; both tell so. Everything before the standby's first element has come then.
+pauses, and so does a unit that it feeds; both announce it. By then, every element before the standby's first one has
+come.
 
 If an inlet has to switch early, it still reads the former source: elements before the first one of the new source are
 delivered until the new source has sent one, and counted as dropped from then on.
@@ -103,7 +104,7 @@ class InputQueue:
         return []
 
     def pause(self, wire: int) -> list[Element]:
-        """Record that `wire` gives nothing until its next element. Returns the elements to deliver now."""
+        """Record that `wire` pauses until its next element. Returns the elements to deliver now."""
         self._paused.add(wire)
         return self._switch_when_due()
 
@@ -159,8 +160,8 @@ class InputQueue:
         return delivered + self._switch_when_due()
 
     def _switch_when_due(self) -> list[Element]:
-        """Switch to the latest standby of which the active source has sent the first element; after a source that
-        pauses, to the earliest one.
+        """Switch to the latest standby whose first element the active source has sent, too. If that source pauses,
+        switch to the earliest standby.
         """
         for wire in reversed(self._standbys):
             held = self._standbys[wire]
@@ -206,6 +207,6 @@ class InputQueue:
             self._forget_wire(wire)
 
     def _forget_wire(self, wire: int) -> None:
-        """Forget what is known of a wire that is not read any more."""
+        """Forget the numbers and the pause of a wire that is not read any more."""
         self._next_number.pop(wire, None)
         self._paused.discard(wire)

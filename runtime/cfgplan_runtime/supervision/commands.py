@@ -56,7 +56,7 @@ class HoldUnit(Command, frozen=True):
 
 
 class AskPlaces(Command, frozen=True):
-    """Ask a unit from which moment on its inlets get every element; those in `begun` by their first element."""
+    """Ask a unit from which moment on its inlets get every element. Inlets in `begun` answer with their first one."""
 
     unit: str
     begun: tuple[str, ...]

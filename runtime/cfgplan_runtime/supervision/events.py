@@ -146,8 +146,9 @@ class PlacesTold(Event, frozen=True):
 
 
 class StateTold(Event, frozen=True):
-    """A unit's state between two steps, null if it keeps none, with its place in each input, and the moment of each
-    output's last element.
+    """A unit's state between two steps, with its place in each input, and the moment of each output's last element.
+
+    The state is empty if the unit's code gives none, and null if the unit does not know its place either.
     """
 
     unit: str

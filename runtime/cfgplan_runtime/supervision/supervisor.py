@@ -489,7 +489,7 @@ class Supervisor:
 
     def _keep_state(self, unit: str, state: bytes | None) -> None:
         name = self._records[unit].state_name
-        if state is not None and name is not None:
+        if state and name is not None:
             self._states[name] = state
 
     def _remove_dead(self, unit: str) -> None:

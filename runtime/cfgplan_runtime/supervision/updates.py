@@ -245,6 +245,8 @@ class _Update:
 
     def start(self) -> Commands:
         actual = self.actual
+        connected = {wire.stream.unit for wire in actual.feeds.values()} | {inlet.unit for inlet in actual.feeds}
+        self.fresh.update(self.wired() & self.after.unit.keys() - connected, self.started)
         for topic, host in sorted(wiring.wanted_topics(self.after).items()):
             if topic in actual.topics and actual.topics[topic] != host:
                 yield from self.close_topic_elsewhere(topic)
@@ -270,8 +272,6 @@ class _Update:
 
     def rewire(self) -> Commands:
         actual, wanted = self.actual, self.wanted
-        connected = {wire.stream.unit for wire in actual.feeds.values()} | {inlet.unit for inlet in actual.feeds}
-        self.fresh.update(self.wired() - connected, self.started)
         heirs = self.heirs()
         for unit in heirs:
             self.held.add(unit)
@@ -321,8 +321,8 @@ class _Update:
             yield ActivateUnit(unit)
 
     def heirs(self) -> dict[str, str]:
-        """The fresh units that continue where an ending unit is, upstream units first, each with that unit: with its
-        state if they keep one, else with the elements that wait in it.
+        """Return the new units that continue from the place of an ending unit, each with that unit, the upstream
+        ones first. They get its state if they keep one, else the elements that wait in it.
 
         An active unit counts before an inactive one: the state of a unit that an undone update has kept is older.
         """
@@ -341,8 +341,8 @@ class _Update:
         return {unit: heirs[unit] for unit in sorted(heirs, key=lambda unit: len(upstream[unit]))}
 
     def heirs_of_steps(self, ending: Set[str]) -> dict[str, str]:
-        """The fresh units without a state, each with the ending unit without a state whose streams it takes over, if
-        both are Python code with several inlets: in that unit elements may wait for those of another inlet.
+        """Return the new units without a state, each with the ending one without a state whose streams it takes over.
+        Both are Python code with several inlets: elements of one may wait in the ending unit for those of another.
         """
         actual = self.actual
         old, new = Counter(inlet.unit for inlet in actual.feeds), Counter(inlet.unit for inlet in self.wanted)
@@ -384,8 +384,8 @@ class _Update:
             self.vain_s.append(self.actual.now() - began_s)
 
     def await_others(self, before: str, heir: str, heirs: Mapping[str, str]) -> Commands:
-        """Wait until inlets have switched that the unit `before` fed and that none of the heirs feeds, directly or by
-        others: they need its elements up to the first one of their new source.
+        """Wait until the inlets that `before` fed have switched, except for those that an heir will feed, directly or
+        through other units: they need its elements up to the first one of their new source.
         """
         others = {
             inlet: stream.unit
@@ -399,8 +399,8 @@ class _Update:
     def hand_over_state(self, before: str, heir: str) -> Generator[Command, None, bool]:
         """Let a new unit, which holds its steps, begin them with the state of the unit `before` it, at its place.
 
-        It waits for no element of ending units that give none. Returns whether the state was told. Exceptions are not
-        reported of units that keep no state.
+        It waits for no element of ending units that give none. Returns whether `before` has told its place, and pauses.
+        Only units that keep a state report exceptions.
         """
         actual, same = self.actual, self.same_inlets(before, heir)
         yield AskPlaces(heir, self.inlets_of_new_streams(before, heir))
@@ -420,24 +420,28 @@ class _Update:
             heir, lambda: actual.answer(before) is not None or before not in actual.alive, _STATE_S
         )
         told = actual.answer(before)
+        cause = None
+        if not isinstance(told, StateTold):
+            cause = f"{before} did not tell its state within {_STATE_S:g} s"
+        elif not told.state:
+            cause = f"the code of {before} gives no state"
+        elif places is None:
+            cause = f"an input of {heir} got nothing within {_PLACES_S:g} s"
+        if cause is not None and self.state_name(heir) is not None:
+            yield TellOf(StateNotExact(heir, before, cause))
         if not isinstance(told, StateTold) or told.state is None:
-            cause = "its code has no state to tell" if told else f"it did not tell its state within {_STATE_S:g} s"
-            if self.state_name(heir) is not None:
-                yield TellOf(StateNotExact(heir, before, cause))
             if told is None and before in actual.alive:
                 yield GiveState(before)  # it must not pause later: nobody else makes the steps that wait in it
             yield GiveState(heir)
             self.held.discard(heir)
             return False
-        if places is None and self.state_name(heir) is not None:
-            yield TellOf(StateNotExact(heir, before, f"{heir} got no element within {_PLACES_S:g} s"))
         inputs = {name: told.inputs[old] for name, old in same.items() if old in told.inputs}
         outputs = {
             self.wanted[inlet].port: told.outputs[old.port]
             for inlet, old in self.rewired.items()
             if old is not None and old.unit == before and old.port in told.outputs and self.wanted[inlet].unit == heir
         }
-        yield GiveState(heir, told.state, inputs, outputs)
+        yield GiveState(heir, told.state or None, inputs, outputs)
         self.held.discard(heir)
         return True
 
@@ -605,7 +609,7 @@ class _Update:
         return sorted(units & self.actual.alive - self.actual.ready)
 
     def dead(self) -> list[str]:
-        return [unit for unit in self.started if unit not in self.actual.alive]
+        return sorted(self.fresh - self.actual.alive)
 
     def fail_if_dead(self) -> None:
         dead = self.dead()
