@@ -23,7 +23,17 @@ from ortools.sat.python.cp_model import (
 )
 
 import cfgplan
-from cfgplan.domain import Similarity, Target
+from cfgplan.domain import (
+    ComputationUnit,
+    Environment,
+    InputPort,
+    OutputPort,
+    Similarity,
+    Stream,
+    Subscription,
+    Target,
+    Transformation,
+)
 from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.exact import rounds, search
 from cfgplan.planners.exact.candidates import Candidates
@@ -170,6 +180,30 @@ def test_a_search_that_fails_is_made_again_in_the_whole_library_and_the_log_says
     assert found.counts["failed searches"] == 1
     assert "more than the model says" in caplog.text
     assert plan_violations(problem, found) == []
+
+
+@pytest.mark.parametrize("upkeep_us", [5, 10**9, 10**12])
+def test_a_plan_that_costs_far_more_than_is_allowed_is_found_to_be_too_expensive(upkeep_us: int) -> None:
+    """The engine called the model infeasible with the larger numbers, as long as it did no probing."""
+    library = (
+        Transformation("t0", outputs=(OutputPort("x", "A"),), required=True),
+        Transformation("t1", (InputPort("a", "A"),), (OutputPort("x", "A"),), required=True),
+        Transformation(
+            "t2",
+            (InputPort("a", "A", distinct="g"), InputPort("b", "D")),
+            (OutputPort("x", "A"),),
+            upkeep_us=1,
+            required=True,
+        ),
+        Transformation("t3", outputs=(OutputPort("x", "D"),), upkeep_us=upkeep_us, required=True),
+    )
+    library = tuple(replace(one, labor_us=0) for one in library)
+    fed = (Subscription("a", Stream("t2.1", "x")), Subscription("b", Stream("t3.2", "x")))
+    units = (ComputationUnit("t2.1", "t2", fed), ComputationUnit("t3.2", "t3"), ComputationUnit("t3.3", "t3"))
+    environment = Environment(units=units, library=library, targets=(Target("q0", "A", "/0"),))
+    same = Similarity({tag: frozenset({tag}) for tag in "AD"})
+    found = PlannerSession().plan(Problem(environment, same, horizon_s=1, max_cost_us=0))
+    assert (found.status, found.cost_us) == (Status.TOO_EXPENSIVE, upkeep_us + 1)
 
 
 def test_every_search_among_a_part_has_what_runs_in_every_plan() -> None:

@@ -20,7 +20,7 @@ from cfgplan.errors import InputError
 from cfgplan.planners.exact.model import Model
 from cfgplan.planners.exact.solve_state import SolveState
 from cfgplan.planners.solving.clock import ContradictionError
-from cfgplan.planners.solving.engine import solve
+from cfgplan.planners.solving.engine import repeatable_solver, solve
 
 Found = TypeVar("Found")
 
@@ -51,6 +51,13 @@ def minimised(
         state.counts["rounds"] += 1
         status = solve(engine, model.cp, state.clock, look_at, lambda bound: learn(ceil(bound - 0.5)))
         state.counts["conflicts"] += engine.num_conflicts
+        if status == INFEASIBLE and engine.parameters.cp_model_probing_level == 0:
+            # Without probing, the engine has called models with costs far apart infeasible that have a solution.
+            slice_s = engine.parameters.max_deterministic_time
+            engine = repeatable_solver(small=False, time_limit_s=state.clock.left_s())
+            engine.parameters.max_deterministic_time = slice_s
+            status = solve(engine, model.cp, state.clock, look_at, lambda bound: learn(ceil(bound - 0.5)))
+            state.counts["conflicts"] += engine.num_conflicts
         if status == INFEASIBLE:
             raise InfeasibleError
         if status == MODEL_INVALID:
