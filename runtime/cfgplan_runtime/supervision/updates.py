@@ -229,6 +229,8 @@ class _Update:
     rewired: dict[Inlet, Stream | None] = field(default_factory=dict)
     fresh: set[str] = field(default_factory=set)
     """The units that the update connects for the first time: new ones, and those that an undone update has kept."""
+    needed: set[str] = field(default_factory=set)
+    """The units without which the update is undone: those of the fresh ones that have not begun yet."""
     held: set[str] = field(default_factory=set)
     """The units that wait for a state."""
     asked: set[str] = field(default_factory=set)
@@ -247,6 +249,7 @@ class _Update:
         actual = self.actual
         connected = {wire.stream.unit for wire in actual.feeds.values()} | {inlet.unit for inlet in actual.feeds}
         self.fresh.update(self.wired() & self.after.unit.keys() - connected, self.started)
+        self.needed.update(self.fresh & actual.inactive, self.started)
         for topic, host in sorted(wiring.wanted_topics(self.after).items()):
             if topic in actual.topics and actual.topics[topic] != host:
                 yield from self.close_topic_elsewhere(topic)
@@ -609,7 +612,7 @@ class _Update:
         return sorted(units & self.actual.alive - self.actual.ready)
 
     def dead(self) -> list[str]:
-        return sorted(self.fresh - self.actual.alive)
+        return sorted(self.needed - self.actual.alive)
 
     def fail_if_dead(self) -> None:
         dead = self.dead()
