@@ -168,7 +168,7 @@ def test_a_container_that_can_not_be_started_names_the_package(tmp_path: Path, c
     path.write_text(ENVIRONMENT.format(group="@eyes"))
     with running("--middleware", "ros2", path) as run:
         told = await_event(run, "Warning")["text"]
-        assert "er is left out until its code changes: there is no executable" in told
+        assert "shouter, talker are left out until their code changes: there is no executable" in told
         assert "'component_container' of a package 'rclcpp_components'" in told
         run.terminate()
         run.communicate()
