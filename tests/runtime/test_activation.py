@@ -5,22 +5,17 @@ The start of a unit beside a source is held up until a source that began too ear
 
 from __future__ import annotations
 
-import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
-import msgspec
 import pytest
 from cfgplan_runtime import Runtime
-from cfgplan_runtime.children.control import ControlConnection
-from cfgplan_runtime.children.messages import Activate, Deactivate, Finish, HoldSteps, TakeState, ToChild
+from cfgplan_runtime.children.messages import Activate, Deactivate, Finish, HoldSteps, TakeState
 from cfgplan_runtime.children.unit_child import UnitChild
-from cfgplan_runtime.children.unit_order import unit_order
 from cfgplan_runtime.streams.channel import Receiver, Sender, socket_pair
 from cfgplan_runtime.streams.element import Element
 from cfgplan_runtime.streams.payload import PayloadEncoder, decode
@@ -29,7 +24,7 @@ from mosquitto import NEEDS_MOSQUITTO, running
 from program_units import provider
 from unit_signals import signal_unit
 from watching import Listener, StartRuntime, seen
-from world import eventually, source, start, unit, worker
+from world import child_of, eventually, source, start, unit, worker
 
 from cfgplan.domain import ChangeSet, ComputationUnit, OutputPort, RunOptions, Transformation
 from cfgplan.transformations import ProgramFormat
@@ -37,21 +32,6 @@ from cfgplan.transformations import ProgramFormat
 NUMBERS = Transformation("give", outputs=(OutputPort("n", "N"),), source="running_units.py:count")
 WORK = worker(run=RunOptions(blocks=True))
 GIVEN, WORKED = unit("give.1"), unit("work.1", topic="/result", x="give.1/n")
-
-
-@contextmanager
-def child_of(transformation: Transformation) -> Iterator[UnitChild]:
-    """A unit in this process."""
-    ours, theirs = socket.socketpair()
-    order = unit_order(f"{transformation.label}.1", transformation, None)
-    order = msgspec.structs.replace(order, folder=str(Path(__file__).parent))
-    child = UnitChild(order, ControlConnection(theirs, ToChild))
-    try:
-        yield child
-    finally:
-        child.close()
-        for end in (ours, theirs):
-            end.close()
 
 
 def connect(child: UnitChild, port: str) -> Receiver:

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import random
-import socket
 from collections.abc import Iterable
 from dataclasses import replace
 from itertools import islice, pairwise
-from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
 
 import msgspec
 import pytest
 from cfgplan_runtime import Runtime
-from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.handover import Handover
 from cfgplan_runtime.children.messages import (
     Activate,
@@ -24,12 +21,9 @@ from cfgplan_runtime.children.messages import (
     StateTold,
     TakeState,
     TellState,
-    ToChild,
 )
 from cfgplan_runtime.children.ports import Ports
 from cfgplan_runtime.children.steps import Step, StepQueue
-from cfgplan_runtime.children.unit_child import UnitChild
-from cfgplan_runtime.children.unit_order import unit_order
 from cfgplan_runtime.errors import ApplyError
 from cfgplan_runtime.streams.element import BEFORE_ALL, Element, Moment
 from cfgplan_runtime.streams.inlet import InputQueue
@@ -38,7 +32,7 @@ from cfgplan_runtime.supervision.events import StateNotExact
 from cfgplan_runtime.supervision.updates import Patience
 from handing_over import delay_states
 from watching import Listener, StartRuntime, seen
-from world import eventually, source, start, unit, worker
+from world import child_of, eventually, source, start, unit, worker
 
 from cfgplan.domain import ChangeSet, ComputationUnit, OutputPort, RunOptions, Transformation
 
@@ -373,6 +367,18 @@ def test_a_unit_without_a_state_pauses_with_the_one_that_feeds_it(run_units: Sta
     assert rises_of_one(runtime, listener) == {1}
 
 
+def while_replaced(runtime: Runtime, times: int, feeds: dict[str, str]) -> Listener:
+    """Replace add.0 so often. Returns a listener that has heard results before and after."""
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 20)
+    for number in range(1, times + 1):
+        next_one = unit(f"add.{number}", topic="/result", **feeds)
+        assert runtime.apply(ChangeSet(started=(next_one,), stopped=(f"add.{number - 1}",))).unswitched == 0
+    received = len(listener.received)
+    eventually(lambda: len(listener.received) > received + 20)
+    return listener
+
+
 @pytest.mark.parametrize("run", [RunOptions(), RunOptions(start="aligned"), RunOptions(state="kept")])
 def test_inputs_stay_paired_if_a_unit_without_a_state_is_replaced(run_units: StartRuntime, run: RunOptions) -> None:
     """Both come from one source, one of them through another unit: the sums of equal numbers are even."""
@@ -380,13 +386,7 @@ def test_inputs_stay_paired_if_a_unit_without_a_state_is_replaced(run_units: Sta
     runtime = run_units(source(rate_hz=1000), worker("same"), add)
     feeds = {"a": "count.1/n", "b": "same.1/y"}
     runtime.apply(start(unit("count.1"), unit("same.1", x="count.1/n"), unit("add.0", topic="/result", **feeds)))
-    listener = Listener("/result")
-    eventually(lambda: len(listener.received) > 20)
-    for number in range(1, 13):
-        next_one = unit(f"add.{number}", topic="/result", **feeds)
-        assert runtime.apply(ChangeSet(started=(next_one,), stopped=(f"add.{number - 1}",))).unswitched == 0
-    received = len(listener.received)
-    eventually(lambda: len(listener.received) > received + 20)
+    listener = while_replaced(runtime, 12, feeds)
     assert rises_of_one(runtime, listener) == {2}
     assert listener.values[0] % 2 == 0
 
@@ -399,13 +399,7 @@ def test_a_unit_without_a_state_has_the_last_element_of_a_quiet_stream_from_the_
     runtime = run_units(source(), source("once", "once"), add)
     feeds = {"a": "count.1/n", "b": "once.1/n"}
     runtime.apply(start(unit("add.0", topic="/result", **feeds), unit("count.1"), unit("once.1")))
-    listener = Listener("/result")
-    eventually(lambda: len(listener.received) > 20)
-    for number in range(1, 4):
-        next_one = unit(f"add.{number}", topic="/result", **feeds)
-        assert runtime.apply(ChangeSet(started=(next_one,), stopped=(f"add.{number - 1}",))).unswitched == 0
-    received = len(listener.received)
-    eventually(lambda: len(listener.received) > received + 20)
+    listener = while_replaced(runtime, 3, feeds)
     assert rises_of_one(runtime, listener) == {1}
 
 
@@ -428,20 +422,15 @@ def test_a_unit_whose_successor_fails_at_each_step_makes_the_steps_that_came_mea
 
 
 def test_a_unit_that_has_told_its_state_leaves_the_steps_that_wait_when_it_ends() -> None:
-    ours, theirs = socket.socketpair()
     high, _ = modes("Tally")
-    order = msgspec.structs.replace(unit_order("high.1", high, None), folder=str(Path(__file__).parent))
-    child = UnitChild(order, ControlConnection(theirs, ToChild))
-    child._obey(Activate(), [])
-    child._obey(TellState({}), [])
-    child._work()
-    child._ports.inputs["x"].take(Element(1, 0, 0, b"".join(PayloadEncoder().encode(1))))
-    child._obey(Finish(), [])
-    child._work()
-    assert (child.step, child._has_work) == (0, False)
-    child.close()
-    for end in (ours, theirs):
-        end.close()
+    with child_of(high) as child:
+        child._obey(Activate(), [])
+        child._obey(TellState({}), [])
+        child._work()
+        child._ports.inputs["x"].take(Element(1, 0, 0, b"".join(PayloadEncoder().encode(1))))
+        child._obey(Finish(), [])
+        child._work()
+        assert (child.step, child._has_work) == (0, False)
 
 
 @pytest.mark.parametrize("code", ["Clock", "SlowFirst"])
@@ -525,24 +514,19 @@ def test_a_source_that_was_asked_for_its_state_and_stays_gives_again_at_once(mon
 @pytest.mark.parametrize("is_begun", [False, True])
 def test_elements_that_waited_before_a_unit_was_told_to_wait_for_a_state_are_no_steps_after_it(is_begun: bool) -> None:
     """An undone update has kept the unit; the unit before it has made these steps, and its state has them."""
-    ours, theirs = socket.socketpair()
     _, low = modes("Tally")
-    order = msgspec.structs.replace(unit_order("low.1", low, None), folder=str(Path(__file__).parent))
-    child = UnitChild(order, ControlConnection(theirs, ToChild))
-    elements = [Element(at, 0, 0, b"".join(PayloadEncoder().encode(at))) for at in range(1, 6)]
-    child._obey(Activate(), [])
-    for element in elements[:4]:
-        child._steps.put("x", element, may_drop=False)
-    if is_begun:
-        assert child._pending is not None
-    child._obey(HoldSteps(), [])
-    child._work()
-    child._ports.inputs["x"].take(elements[4])
-    child._obey(TakeState(msgspec.msgpack.encode(4), {"x": GivenInput((4, 0))}, {"y": (9, 0)}), [])
-    child._work()
-    assert child.step == 1
-    assert child._state() == msgspec.msgpack.encode(5)
-    assert child._ports.outputs["y"].last == (9, 1), "after the elements of the unit before it"
-    child.close()
-    for end in (ours, theirs):
-        end.close()
+    with child_of(low) as child:
+        elements = [Element(at, 0, 0, b"".join(PayloadEncoder().encode(at))) for at in range(1, 6)]
+        child._obey(Activate(), [])
+        for element in elements[:4]:
+            child._steps.put("x", element, may_drop=False)
+        if is_begun:
+            assert child._pending is not None
+        child._obey(HoldSteps(), [])
+        child._work()
+        child._ports.inputs["x"].take(elements[4])
+        child._obey(TakeState(msgspec.msgpack.encode(4), {"x": GivenInput((4, 0))}, {"y": (9, 0)}), [])
+        child._work()
+        assert child.step == 1
+        assert child._state() == msgspec.msgpack.encode(5)
+        assert child._ports.outputs["y"].last == (9, 1), "after the elements of the unit before it"

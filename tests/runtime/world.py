@@ -2,8 +2,17 @@
 
 from __future__ import annotations
 
+import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import msgspec
+from cfgplan_runtime.children.control import ControlConnection
+from cfgplan_runtime.children.messages import ToChild
+from cfgplan_runtime.children.unit_child import UnitChild
+from cfgplan_runtime.children.unit_order import unit_order
 
 from cfgplan.domain import (
     ChangeSet,
@@ -71,3 +80,18 @@ def eventually(is_so: Callable[[], bool]) -> None:
     while not is_so():
         assert time.monotonic() < deadline, "it never came to be"
         time.sleep(0.01)
+
+
+@contextmanager
+def child_of(transformation: Transformation) -> Iterator[UnitChild]:
+    """A unit in this process."""
+    ours, theirs = socket.socketpair()
+    order = unit_order(f"{transformation.label}.1", transformation, None)
+    order = msgspec.structs.replace(order, folder=str(Path(__file__).parent))
+    child = UnitChild(order, ControlConnection(theirs, ToChild))
+    try:
+        yield child
+    finally:
+        child.close()
+        for end in (ours, theirs):
+            end.close()
