@@ -94,25 +94,31 @@ class World:
 def load(path: str | os.PathLike[str], *, also: Sequence[str | os.PathLike[str]] = (), use_cache: bool = True) -> World:
     """Read the environment file at `path` (YAML, JSON, or the paper's XML) and the ontologies it names.
 
-    The files `also` are read as if that file included them. With `use_cache`, the individuals of the classes that
-    templates name are cached between runs.
+    The files `also` are read as if that file included them. With `use_cache`, ontologies as they were read, and the
+    individuals of the classes that templates name, are cached between runs.
     Raises InputError with every fault that was found.
     """
     from cfgplan.formats.document import read_document
 
     document = read_document(path, also)
-    return world_of(document, ontology_of(document), use_cache=use_cache)
+    return world_of(document, ontology_of(document, use_cache=use_cache), use_cache=use_cache)
 
 
-def ontology_of(document: Document) -> Ontology:
+def ontology_of(document: Document, *, use_cache: bool = False) -> Ontology:
     """The union of the ontologies that a document names.
 
-    Raises InputError with the document's faults and those of the ontologies.
+    With `use_cache`, they are kept between runs as they were read. Raises InputError with the document's faults and
+    those of the ontologies.
     """
     from cfgplan.matching import load_ontology
 
     try:
-        ontology = load_ontology(document.ontology_paths, dict(document.imports), ignores_rules=document.ignores_rules)
+        ontology = load_ontology(
+            document.ontology_paths,
+            dict(document.imports),
+            ignores_rules=document.ignores_rules,
+            cache=cache_folder() if use_cache else None,
+        )
     except InputError as error:
         raise InputError((*document.faults, *map(document.at_ontology, error.faults))) from None
     spaces: list[str] = []

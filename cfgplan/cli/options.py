@@ -82,7 +82,9 @@ def add_matching(parser: argparse.ArgumentParser) -> None:
         help="seconds for HermiT; pairs of tags that it has not decided by then stay undecided (default: 60)",
     )
     parser.add_argument(
-        "--no-cache", action="store_true", help="do not read or write the cache of decided pairs of tags"
+        "--no-cache",
+        action="store_true",
+        help="do not read or write the cache of ontologies and decided pairs of tags",
     )
 
 

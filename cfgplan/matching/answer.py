@@ -1,29 +1,23 @@
 """Answers about which tags match, apart from the reasoners, and the folder in which they are kept between runs.
 
-Reading a kept answer imports no reasoner. A hash of the axioms and of the tags' concepts is its key. Files are written
-whole or not at all; a damaged or foreign file is ignored and overwritten. If the folder can't be written, nothing is
-kept.
+Reading a kept answer imports no reasoner. A hash of the axioms and of the tags is its key.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Collection, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
+from cfgplan.cache_folder import Kept
 from cfgplan.domain import Similarity
 from cfgplan.matching.ontology import Ontology
 
-_FOLDER: Final = "matching"
-_KEPT_FORMAT: Final = "cfgplan-matching/5"
-"""Raise this number whenever tags or ontologies are read differently: kept answers would be wrong."""
-MOST_FILES: Final = 64
-"""The number of answers that are kept; the oldest are dropped first."""
+_ANSWERS: Final = Kept("matching", "cfgplan-matching/5")
+"""Its number is raised whenever tags or ontologies are read differently."""
 
 
 def impossible(tag: str) -> str:
@@ -60,7 +54,7 @@ class Matching:
 def key_of(ontology: Ontology, reasoner: str, offered: Collection[str], demanded: Collection[str]) -> str:
     """The name under which the answer for these tags is kept."""
     texts = [
-        _KEPT_FORMAT,
+        _ANSWERS.form,
         ontology.digest,
         json.dumps([*sorted(ontology.prefixes.items()), *ontology.preferred]),
         reasoner,
@@ -75,18 +69,18 @@ def load(folder: Path, key: str, offered: Collection[str], demanded: Collection[
     A file's `rows` have for each demanded tag the numbers of the offered ones, both in order.
     """
     offers, demands = sorted(set(offered)), sorted(set(demanded))
+    known = _ANSWERS.find(folder, key)
+    if known is None:
+        return None
     try:
-        kept = json.loads((folder / _FOLDER / f"{key}.json").read_bytes())
-        numbers = kept["rows"]
-        is_ours = (kept["format"], kept["key"], len(numbers)) == (_KEPT_FORMAT, key, len(demands))
-        if not is_ours or any(number < 0 for row in numbers for number in row):
+        numbers = known["rows"]
+        if len(numbers) != len(demands) or any(number < 0 for row in numbers for number in row):
             return None
         rows = (frozenset(offers[number] for number in row) for row in numbers)
         similarity = Similarity(dict(zip(demands, rows, strict=True)))
-        return Matching(
-            similarity, tuple(kept["warnings"]), kept["answered_by"], impossible=frozenset(kept["impossible"])
-        )
-    except (OSError, ValueError, LookupError, TypeError):
+        warnings, impossible = tuple(known["warnings"]), frozenset(known["impossible"])
+        return Matching(similarity, warnings, known["answered_by"], impossible=impossible)
+    except (LookupError, TypeError):
         return None
 
 
@@ -96,22 +90,10 @@ def store(folder: Path, key: str, offered: Collection[str], demanded: Collection
         return
     number = {tag: index for index, tag in enumerate(sorted(set(offered)))}
     rows = [sorted(number[tag] for tag in matching.similarity.offers[wanted]) for wanted in sorted(set(demanded))]
-    kept = {
-        "format": _KEPT_FORMAT,
-        "key": key,
+    content = {
         "rows": rows,
         "warnings": matching.warnings,
         "answered_by": dict(matching.answered_by),
         "impossible": sorted(matching.impossible),
     }
-    own = folder / _FOLDER
-    temporary = own / f"{key}.{os.getpid()}.tmp"
-    try:
-        own.mkdir(parents=True, exist_ok=True)
-        temporary.write_text(json.dumps(kept))
-        temporary.replace(own / f"{key}.json")
-        for path in sorted(own.glob("*.json"), key=lambda path: path.stat().st_mtime, reverse=True)[MOST_FILES:]:
-            path.unlink(missing_ok=True)
-    except OSError:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
+    _ANSWERS.keep(folder, key, content)

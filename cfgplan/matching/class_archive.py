@@ -113,17 +113,16 @@ class ClassArchive:
 
 def archive_for(java: str, options: tuple[str, ...], jar: Path, main: str) -> ClassArchive | None:
     """The archive of a Java and a jar, made or not; None without a cache folder or if the Java is not found."""
-    found = shutil.which(java)
-    if found is None:
+    found, cache = shutil.which(java), cache_folder()
+    if found is None or cache is None:
         return None
     try:
         command = Path(found).resolve()
         marks = [f"{path} {path.stat().st_size} {path.stat().st_mtime_ns}" for path in (command, jar)]
-        folder = cache_folder() / "hermit"
-    except (OSError, RuntimeError):
+    except OSError:
         return None
     text = "\n".join((_ARCHIVE_VERSION, *marks, *options))
-    return ClassArchive(folder / hashlib.sha256(text.encode()).hexdigest()[:16], java, options, jar, main)
+    return ClassArchive(cache / "hermit" / hashlib.sha256(text.encode()).hexdigest()[:16], java, options, jar, main)
 
 
 def _appended(path: Path) -> int:

@@ -32,7 +32,7 @@ from cfgplan.matching.concepts import (
     in_functional_syntax,
     walk,
 )
-from cfgplan.matching.functional import Signature, Tree, leaves, parse
+from cfgplan.matching.functional import Tree, leaves, parse, signature_of
 from cfgplan.matching.literals import XSD
 from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.structures import Interpretation, checks_of, linked_by, symbols_of
@@ -68,7 +68,7 @@ class _Program:
         trees = [tree for tree in trees if tree[0] != "Declaration"]
         self.checks = [check for tree in trees for check in checks_of(tree)]
         anonymous = {leaf for tree in trees for leaf in leaves(tree) if leaf.startswith("_:")}
-        self.individuals = sorted(Signature(trees).individuals | anonymous | individuals)
+        self.individuals = sorted(signature_of(trees).individuals | anonymous | individuals)
         self.rules = [rule for check in self.checks for rule in _rules_of(check)]
 
 
@@ -161,7 +161,7 @@ class _Model:
         """Create a thing and require that it is in a class expression; if the expression names an individual, take
         that one.
         """
-        for name in sorted(Signature([("SubClassOf", tree)]).individuals):
+        for name in sorted(signature_of([("SubClassOf", tree)]).individuals):
             self.individual(name)
         thing = self._called(tree, 0)
         self.require({thing}, tree)

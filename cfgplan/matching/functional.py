@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
-from typing import Final, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI
 from cfgplan.matching.names import short_name
@@ -166,24 +166,28 @@ def _argument_text(argument: str) -> str:
     return argument.partition("^^")[0] if argument.startswith('"') else short_name(argument)
 
 
-class Signature:
+class Signature(NamedTuple):
     """The names that occur in axioms, by their use as class, role or individual."""
 
-    def __init__(self, trees: Iterable[Tree]) -> None:
-        self.classes: set[str] = set()
-        self.roles: set[str] = set()
-        self.individuals: set[str] = set()
-        self._sets = {"c": self.classes, "r": self.roles, "i": self.individuals}
-        for tree in trees:
-            self._walk(tree)
-        self.classes -= {THING_IRI, NOTHING_IRI}
+    classes: frozenset[str]
+    roles: frozenset[str]
+    individuals: frozenset[str]
 
-    def _walk(self, tree: Tree) -> None:
+
+def signature_of(trees: Iterable[Tree]) -> Signature:
+    """The names in the trees of axioms."""
+    names: dict[str, set[str]] = {"c": set(), "r": set(), "i": set()}
+    ahead = [*trees]
+    for tree in ahead:
         uses = _USES.get(str(tree[0]), "x")
         for position, argument in enumerate(tree[1:]):
             if isinstance(argument, tuple):
-                self._walk(argument)
-                continue
-            names = self._sets.get(uses[min(position, len(uses) - 1)])
-            if names is not None and not argument.startswith("_:"):
-                names.add(argument)
+                ahead.append(argument)
+            elif not argument.startswith("_:"):
+                names.setdefault(uses[min(position, len(uses) - 1)], set()).add(argument)
+    return Signature(frozenset(names["c"] - {THING_IRI, NOTHING_IRI}), frozenset(names["r"]), frozenset(names["i"]))
+
+
+def joined(signatures: Iterable[Signature]) -> Signature:
+    """The names of several signatures."""
+    return Signature(*(frozenset[str]().union(*names) for names in zip(*signatures, strict=True)))

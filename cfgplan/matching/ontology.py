@@ -14,7 +14,7 @@ from typing import Any, Final
 from cfgplan.canonical import normal
 from cfgplan.errors import UnknownNameError, did_you_mean
 from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI, Concept, in_description_logic, in_words
-from cfgplan.matching.functional import Signature, Tree, parse
+from cfgplan.matching.functional import Signature, Tree, parse, signature_of
 from cfgplan.matching.literals import accepted_by_reasoners
 from cfgplan.matching.names import NameTable, expanded, namespace_of, short_name
 from cfgplan.selectors import quoted
@@ -30,8 +30,8 @@ class Ontology:
     statement of the files that reasoners do not get to the reason: matches hold in spite of it, but pairs that don't
     match might match by it. `lost_rules` are the texts of the rules among it, each with the axiom that stands for it.
     `ignored` are the IRIs of imports left out on request, `ignored_rules` counts the rules left out on request; neither
-    belongs to the ontology, so no pair is open for them. `trees` may have axioms that are parsed already. `preferred`
-    are namespaces: a short name means the IRI in the first of them that has it.
+    belongs to the ontology, so no pair is open for them. `trees` may have axioms that are parsed already, `signature`
+    the names in all axioms. `preferred` are namespaces: a short name means the IRI in the first of them that has it.
     """
 
     def __init__(
@@ -46,6 +46,7 @@ class Ontology:
         ignored: Iterable[str] = (),
         ignored_rules: int = 0,
         trees: Mapping[str, Tree] | None = None,
+        signature: Signature | None = None,
     ) -> None:
         self.axioms: frozenset[str] = frozenset(map(normal, axioms))
         written = prefixes or {}
@@ -57,6 +58,7 @@ class Ontology:
         self.ignored = tuple(sorted(set(ignored)))
         self.ignored_rules = ignored_rules
         self._parsed = trees or {}
+        self._known_signature = signature
         self.preferred: tuple[str, ...] = ()
 
     def __getstate__(self) -> dict[str, object]:
@@ -87,6 +89,7 @@ class Ontology:
         """This ontology with other axioms."""
         other = copy(self)
         other.axioms = frozenset(map(normal, axioms))
+        other._known_signature = None
         return other
 
     def preferring(self, spaces: Iterable[str]) -> Ontology:
@@ -164,7 +167,7 @@ class Ontology:
 
     @cached_property
     def _signature(self) -> Signature:
-        return Signature(self.trees.values())
+        return self._known_signature or signature_of(self.trees.values())
 
     @cached_property
     def class_names(self) -> NameTable:

@@ -6,7 +6,7 @@ import io
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
@@ -15,9 +15,10 @@ from urllib.parse import unquote, urlsplit
 from cfgplan.errors import Fault, InputError, close_file
 from cfgplan.file_content import content_of
 from cfgplan.matching.catalog import catalogued
-from cfgplan.matching.functional import LOGICAL, parse, rule_text
+from cfgplan.matching.functional import LOGICAL, joined, parse, rule_text
 from cfgplan.matching.names import short_name
 from cfgplan.matching.ontology import Ontology
+from cfgplan.matching.ontology_document import OntologyDocument, keep_document, kept_document, key_of
 from cfgplan.matching.rdf import ANONYMOUS, Triple, TripleGraph, ontology_iri, restored
 
 EXTENSIONS: Final = {
@@ -57,37 +58,26 @@ _NO_IMPORT = (
 _NO_TEXT = "name a file in Turtle, RDF/XML, JSON-LD, OWL/XML, functional or Manchester syntax"
 
 
-@dataclass(frozen=True)
-class _Document:
-    """One parsed file: its own IRI, the IRIs it imports, its axioms and prefixes, and its dropped statements with
-    reasons.
-
-    `lost_rules` are the texts of the dropped rules, each with its rule.
-    """
-
-    iri: str | None = None
-    imports: tuple[str, ...] = ()
-    axioms: tuple[str, ...] = ()
-    prefixes: Mapping[str, str] = field(default_factory=dict)
-    dropped: Mapping[str, str] = field(default_factory=dict)
-    lost_rules: tuple[tuple[str, str], ...] = ()
-
-
 def load_ontology(
-    paths: Sequence[Path], imports: Mapping[str, Path | None] | None = None, *, ignores_rules: bool = False
+    paths: Sequence[Path],
+    imports: Mapping[str, Path | None] | None = None,
+    *,
+    ignores_rules: bool = False,
+    cache: Path | None = None,
 ) -> Ontology:
     """Return the union of ontology files and of everything they import; the open ontology if `paths` is empty.
 
     The content determines the syntax (Turtle, N-Triples, RDF/XML, JSON-LD, OWL/XML, functional, Manchester). An import
     is a relative path, a file beside the importing one that is named like the last part of the IRI or declares it, or
     one of `paths`. `imports` comes first: it maps an IRI to its file, or to None to ignore that import; "" mapped to
-    None ignores every import that is not found. `ignores_rules` leaves all rules out. Files in a syntax other than RDF
-    are read completely except for annotations; statements in RDF that are no axioms of OWL 2 are in `Ontology.dropped`.
-    Data ranges over several properties are refused. Raises InputError with every file that can't be used.
+    None ignores every import that is not found. `ignores_rules` leaves all rules out. `cache` is a folder for files as
+    they were read, which are kept between runs. Files in a syntax other than RDF are read completely except for
+    annotations; statements in RDF that are no axioms of OWL 2 are in `Ontology.dropped`. Data ranges over several
+    properties are refused. Raises InputError with every file that can't be used.
     """
     if not paths:
         return Ontology(is_open=True)
-    documents: dict[Path, _Document] = {}
+    documents: dict[Path, OntologyDocument] = {}
     own_iris: dict[Path, str | None] = {}
     ignored: set[str] = set()
     faults: list[Fault] = []
@@ -99,10 +89,10 @@ def load_ontology(
         if path in documents:
             continue
         try:
-            document = documents[path] = _read(path, shown[path])
+            document = documents[path] = _read(path, shown[path], cache)
         except InputError as error:
             faults.extend(error.faults)
-            documents[path] = _Document()
+            documents[path] = OntologyDocument()
             continue
         for iri in document.imports:
             written = iri.removeprefix(path.parent.as_uri() + "/")
@@ -154,6 +144,8 @@ def load_ontology(
         axioms = [axiom for axiom in axioms if axiom not in rules]
         dropped = {text: why for text, why in dropped.items() if text not in dict(lost_rules)}
         lost_rules = []
+    known = [document.signature for document in documents.values() if document.signature is not None]
+    is_known = len(known) == len(documents) and not (ignores_rules and rules)
     return Ontology(
         axioms,
         prefixes,
@@ -162,6 +154,7 @@ def load_ontology(
         ignored=ignored,
         ignored_rules=len(rules) if ignores_rules else 0,
         lost_rules=lost_rules,
+        signature=joined(known) if is_known else None,
     )
 
 
@@ -188,11 +181,10 @@ def _with_own_anonymous(axiom: str, number: int) -> str:
     return _ANONYMOUS.sub(lambda found: f"_:d{number}x{found[1]}" if found[1] else found.group(), axiom)
 
 
-def _read(path: Path, shown: str) -> _Document:
+def _read(path: Path, shown: str, cache: Path | None = None) -> OntologyDocument:
+    """Read one file, or what was kept of it. Raises InputError."""
     try:
-        text = content_of(path).decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise InputError.of("is not an ontology: the file is not text in UTF-8", file=shown, mend=_NO_TEXT) from None
+        content = content_of(path)
     except FileNotFoundError:
         close = close_file(path)
         mend = _MISSING if close is None else f"did you mean `{Path(shown).with_name(close.name)}`?"
@@ -200,6 +192,18 @@ def _read(path: Path, shown: str) -> _Document:
     except OSError as error:
         mend = "name an ontology file that may be read"
         raise InputError.of(f"the ontology can't be read: {error.strerror}", file=shown, mend=mend) from None
+    if cache is None:
+        return _document_of(content, path, shown)
+    key = key_of(content, path, shown)
+    document = kept_document(cache, key)
+    return document or keep_document(cache, key, _document_of(content, path, shown))
+
+
+def _document_of(content: bytes, path: Path, shown: str) -> OntologyDocument:
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise InputError.of("is not an ontology: the file is not text in UTF-8", file=shown, mend=_NO_TEXT) from None
     if not text.strip():
         raise InputError.of("the ontology file is empty", file=shown, mend="write an ontology, or don't name the file")
     syntax = _syntax_of(text, path.suffix.lower())
@@ -244,7 +248,7 @@ def _syntax_of(text: str, suffix: str) -> str:
     return "ttl" if EXTENSIONS.get(suffix) in (None, "rdf", "owx", "jsonld") else EXTENSIONS[suffix]
 
 
-def _parse_rdf(text: str, syntax: str, base: str, shown: str) -> _Document:
+def _parse_rdf(text: str, syntax: str, base: str, shown: str) -> OntologyDocument:
     try:
         graph = TripleGraph(text, syntax, base)
     except SyntaxError as error:
@@ -316,7 +320,7 @@ def _prefixes_of_context(data: object) -> Iterator[tuple[str, str]]:
                 yield "" if name == "@vocab" else name, value
 
 
-def _parse(text: str, syntax: str, shown: str) -> _Document:
+def _parse(text: str, syntax: str, shown: str) -> OntologyDocument:
     parsed = _parsed(text, syntax, text, syntax, shown)
     prefixes = {prefix: namespace for prefix, namespace in parsed.prefix_mapping if prefix not in ("_", "xml")}
     components = [str(component.component) for component in parsed.get_components()]
@@ -335,7 +339,7 @@ def _parsed(rewritten: str, form: str, text: str, syntax: str, shown: str) -> An
         raise InputError([_fault_of(str(error), text, syntax, shown)]) from None
 
 
-def _document(parsed: Any, components: Iterable[str], syntax: str, shown: str) -> _Document:
+def _document(parsed: Any, components: Iterable[str], syntax: str, shown: str) -> OntologyDocument:
     axioms: list[str] = []
     imports: list[str] = []
     dropped: dict[str, str] = {}
@@ -355,7 +359,7 @@ def _document(parsed: Any, components: Iterable[str], syntax: str, shown: str) -
         elif keyword == "Import":
             imports.append(component[len("Import(") : -1].strip("<>"))
     iri = parsed.get_iri()
-    return _Document(
+    return OntologyDocument(
         None if iri is None else str(iri),
         tuple(sorted(imports)),
         tuple(axioms),
@@ -417,7 +421,7 @@ def _xml_error_place(text: str) -> tuple[int | None, int | None]:
 def _imported_file(
     iri: str,
     importer: Path,
-    read: dict[Path, _Document],
+    read: dict[Path, OntologyDocument],
     listed: Iterable[Path],
     own_iris: dict[Path, str | None],
 ) -> Path | None:

@@ -16,7 +16,7 @@ from typing import Final, Protocol
 from cfgplan.errors import UnknownNameError, did_you_mean
 from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI, Concept, in_functional_syntax
 from cfgplan.matching.faults import ReasonerError
-from cfgplan.matching.functional import Signature
+from cfgplan.matching.functional import signature_of
 from cfgplan.matching.ontology import Ontology
 from cfgplan.onward import reached
 
@@ -168,7 +168,7 @@ def _document(
     tags = [f"SubClassOf({iri[concept]} {in_functional_syntax(concept)})" for concept in dict.fromkeys(offered)]
     tags += [f"SubClassOf({in_functional_syntax(concept)} {iri[concept]})" for concept in dict.fromkeys(demanded)]
     trees = [*ontology.trees.values()]
-    signature = Signature(trees)
+    signature = signature_of(trees)
     declared = [
         *(f"Declaration(Class(<{iri}>))" for iri in sorted(signature.classes)),
         *(f"Declaration(ObjectProperty(<{iri}>))" for iri in sorted(signature.roles)),

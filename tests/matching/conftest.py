@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from cfgplan.matching import Ontology, hermit
+from cfgplan.matching import Ontology, hermit, ontology_files
+from cfgplan.matching.ontology_document import OntologyDocument, keep_document, kept_document
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "experiments" / "matching"))
 
@@ -56,3 +57,17 @@ def asked_once(known_answers: dict[_Question, dict[str, bool]], monkeypatch: pyt
         return told
 
     monkeypatch.setattr(hermit, "satisfiable", satisfiable)
+
+
+@pytest.fixture(autouse=True)
+def kept_once(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each ontology file that a test of the room reads is kept and taken from there, and must be the same."""
+    read, folder = ontology_files._document_of, tmp_path_factory.mktemp("kept")
+
+    def document_of(content: bytes, path: Path, shown: str) -> OntologyDocument:
+        document = keep_document(folder, "key", read(content, path, shown))
+        again = kept_document(folder, "key")
+        assert again == document
+        return document
+
+    monkeypatch.setattr(ontology_files, "_document_of", document_of)

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from cfgplan.matching import Matching, Ontology, answer, match, session
+from cfgplan import cache_folder
+from cfgplan.matching import Matching, Ontology, match, session
 
 OFFERED = ["Undistorted ⊓ ∃hasSource.{cam1}", "Undistorted", "RawRGB ⊓ Camera"]
 DEMANDED = ["Undistorted ⊓ ∃hasSource.Camera", "Image"]
@@ -68,7 +69,7 @@ def test_a_cache_that_can_not_be_written_is_no_error(streams: Ontology, tmp_path
 
 
 def test_the_oldest_answers_go_first(streams: Ontology, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(answer, "MOST_FILES", 2)
+    monkeypatch.setattr(cache_folder, "MOST_FILES", 2)
     for number in range(1, 5):
         match(OFFERED[:1], ["Image", f"≥{number} hasSource.Device"][: number % 2 + 1], streams, cache=tmp_path)
     assert len(kept(tmp_path)) <= 2
