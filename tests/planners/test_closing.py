@@ -16,7 +16,7 @@ from test_preprocessing import Stage
 from worlds import problems
 
 from cfgplan.costs import start_cost_us
-from cfgplan.planners.bounding.bounds import Bound
+from cfgplan.planners.bounding.bounds import Bound, tightened
 from cfgplan.planners.bounding.landmarks import Landmark, landmark_of
 from cfgplan.planners.closing.gap import GapClosing, Repairs
 from cfgplan.planners.closing.neighbourhoods import Neighbourhoods
@@ -26,10 +26,11 @@ from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.exact.memory import Structure
 from cfgplan.planners.networks.core import Core, Rows
 from cfgplan.planners.networks.greedy import first_plan, is_plan
-from cfgplan.planners.networks.network import costs
+from cfgplan.planners.networks.network import Network, costs
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import Close, Decide, Near, Rise, Tuning
 from cfgplan.planning import Problem, Progress, Status
+from cfgplan.reasons import Providers
 from cfgplan.validity import plan_violations
 from experiments.families.random_library import random_library
 
@@ -305,6 +306,31 @@ def test_landmarks_are_looked_for_until_none_is_missed_and_raise_the_bound() -> 
     fractions = program.solve(None)
     assert fractions is not None
     assert both.is_closed or not separator.missed(fractions, np.random.default_rng(1), everywhere=True)
+
+
+def first_bound(problem: Problem, rise: Rise) -> tuple[float, int]:
+    """The share of a first plan's cost that the first landmarks prove, and the number of labels that are left."""
+    library = problem.environment.library
+    tags = [target.tag for target in problem.environment.targets]
+    network = Network(library, tags, [], Providers(library, problem.similarity))
+    cost = np.array([start_cost_us(one, problem.horizon_s) for one in library], np.int64)
+    plan = first_plan(network, cost, 0, Clock())
+    assert plan is not None
+    limit = int(cost[sorted(plan)].sum())
+    bound = tightened(Bound(network.core, cost), limit, limit, Clock(tuning=Tuning(rise=rise)), greedily=True)
+    return bound.value / limit, bound.core.goal
+
+
+def test_landmarks_are_looked_for_longer_while_reduced_costs_leave_labels_out() -> None:
+    one_target = random_library(1, transformations=3000, targets=1, branching=20)
+    value, labels = first_bound(one_target, Rise())
+    assert value > 0.8
+    assert labels < 300
+    assert first_bound(one_target, Rise(narrowed=0.0))[0] < 0.5
+    many_targets = random_library(1, transformations=3000, targets=10)
+    all_stay = first_bound(many_targets, Rise())
+    assert all_stay[1] == 3000
+    assert first_bound(many_targets, Rise(narrowed=0.0)) == all_stay
 
 
 @pytest.mark.parametrize("stage", ["go_on", "look_near"])

@@ -176,9 +176,11 @@ def _kept(number: Ints, rows: list[Ints]) -> list[Ints]:
 def tightened(bound: Bound, enough: int, limit: int, clock: Clock, *, greedily: bool = False) -> Bound:
     """Add landmarks to a bound for plans within `limit`, until it is `enough` or more of them no longer pay.
 
-    Where no plan is within `limit`, the value ends above it. With `greedily` it stops sooner, since `closing` follows.
+    Where no plan is within `limit`, the value ends above it. With `greedily` it stops sooner, since `closing` follows:
+    soon while all labels stay, since the linear program then gains more, later once reduced costs leave labels out,
+    since each landmark takes less then.
     """
-    rise = clock.tuning.rise
+    rise, whole = clock.tuning.rise, bound.core.goal
     while bound.value < enough and not clock.is_over():
         before = bound.value
         keep = bound.may_be_used(limit)
@@ -188,7 +190,10 @@ def tightened(bound: Bound, enough: int, limit: int, clock: Clock, *, greedily: 
         if keep.sum() < 0.8 * len(keep):
             bound = bound.restricted(keep)
         labels = bound.core.goal
-        patience = rise.patience * labels if greedily else rise.last_patience * labels**1.5
+        if greedily:
+            patience = rise.patience * labels if labels == whole else rise.narrowed * labels**1.5
+        else:
+            patience = rise.last_patience * labels**1.5
         each = rise.landmark + rise.need * len(bound.core.needs.items) + rise.link * bound.core.deep_links
         bound.improve(enough, rise.landmarks, clock.is_over)
         if bound.value < enough and not _pays(bound.value - before, enough - before, rise.landmarks * each, patience):
