@@ -40,7 +40,7 @@ def plan_fleet(candidates: Candidates, state: SolveState, last: Collection[str])
     known = candidates.kinds.keys() & set(last)
     is_known = bool(known) and first.offer(first.units_of(known))
     is_too_dear = problem.survive is not None  # each attempt needs spares
-    first.look(0 if is_too_dear or is_known else attempts_among(candidates.network.labels, clock.tuning))
+    first.look(0 if is_too_dear or is_known else _attempts(candidates))
     clock.end("first plans")
     if state.best is not None and state.best.key == (state.min_unused, (), least_us, rewired, started):
         state.prove_cost()
@@ -163,12 +163,19 @@ def look_among_few(candidates: Candidates, state: SolveState, first: FirstPlans)
     def among(size: int) -> Candidates:
         return candidates.among(_best(state).union(order[:size]))
 
-    attempts = attempts_among(candidates.network.labels, tuning)
     if sizes:
-        FirstPlans(among(sizes[0]), state).look(attempts)
-    first.look(attempts)
+        FirstPlans(among(sizes[0]), state).look(_attempts(candidates))
+    first.look(_attempts(candidates))
     for size in state.clock.each(sizes, 1):
         Search(among(size), state, is_all=False).run(tuning.fleet.look)
+
+
+def _attempts(candidates: Candidates) -> int:
+    """Return how many members of a first plan are tried to be left out: where quality counts, as many in small problems
+    as in large ones, since their proof takes longer.
+    """
+    tuning, asks_for_quality = candidates.clock.tuning, Feature.QUALITY in candidates.problem.features
+    return tuning.begin.attempts if asks_for_quality else attempts_among(candidates.network.labels, tuning)
 
 
 def _best(state: SolveState) -> set[str]:
