@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -17,7 +16,7 @@ from cfgplan.cli import options as shared
 from cfgplan.cli.agent import add_links, reached
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.interrupts import Interrupts
-from cfgplan.cli.screen import OUTPUT_VERSION, Screen, counted
+from cfgplan.cli.screen import Screen, counted
 from cfgplan.errors import Fault, InputError, InvalidValueError
 
 if TYPE_CHECKING:
@@ -186,8 +185,7 @@ def _answered(options: argparse.Namespace, screen: Screen, asked: Query, subscri
 
 def as_json(screen: Screen) -> Callable[[QueryReport], None]:
     def show(report: QueryReport) -> None:
-        line = {"format_version": OUTPUT_VERSION, "event": type(report).__name__, **asdict(report)}
-        screen.write(json.dumps(line, default=sorted, ensure_ascii=False) + "\n")
+        screen.write_json({"event": type(report).__name__, **asdict(report)})
         screen.flush()
 
     return show

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from functools import cached_property
+from math import isfinite
 from threading import Event, Thread
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, TextIO
@@ -130,7 +131,11 @@ class Screen:
 
     def show_json(self, document: object) -> None:
         """Print a result for machines: a mapping or a dataclass, as `_plain` says it."""
-        print(json.dumps({"format_version": OUTPUT_VERSION, **_plain(document)}, indent=2, ensure_ascii=False))
+        self.write(f"{_json(document, indent=2, ensure_ascii=False)}\n")
+
+    def write_json(self, document: object) -> None:
+        """Print one of several results for machines, on a line of its own."""
+        self.write(f"{json_line(document)}\n")
 
     def write(self, text: str) -> None:
         """Print text as it is."""
@@ -179,7 +184,7 @@ class Screen:
         """Show the faults of the input: place, message, the line with a caret, mend."""
         faults = list(faults)
         if self.json:
-            self.show_json({"errors": faults})
+            self.write_json({"errors": faults})
             return
         for fault in faults:
             self._say(self._told(fault, "error: ", "bold red"))
@@ -260,8 +265,19 @@ def blamed(error: Exception) -> str:
     return "this is a bug in cfgplan: CFGPLAN_TRACEBACK=1 shows where; please report it"
 
 
+def json_line(document: object) -> str:
+    """Return a document for machines, as `_plain` says it, on one line for every reader that splits text into lines."""
+    return _json(document)
+
+
+def _json(document: object, **style: Any) -> str:
+    return json.dumps({"format_version": OUTPUT_VERSION, **_plain(document)}, allow_nan=False, **style)
+
+
 def _plain(value: object) -> Any:
-    """An explanation as JSON values. A plan becomes its status, cost and bound; a fraction becomes text."""
+    """A mapping or a dataclass as JSON values. A plan becomes its status, cost and bound; a fraction becomes text, and
+    NaN and infinite numbers, which JSON lacks, become null.
+    """
     from fractions import Fraction
 
     from cfgplan.planning import Plan
@@ -269,13 +285,15 @@ def _plain(value: object) -> Any:
     match value:
         case Enum():
             return value.value
+        case float():
+            return value if isfinite(value) else None
         case Fraction():
             return value.numerator if value.denominator == 1 else str(value)
         case Plan():
             return {"status": value.status.value, "cost_us": value.cost_us, "bound_us": value.bound_us}
         case Mapping():
             return {name: _plain(member) for name, member in value.items()}
-        case frozenset():
+        case set() | frozenset():
             return sorted(map(_plain, value))
         case tuple() | list():
             return [_plain(member) for member in value]
