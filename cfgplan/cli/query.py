@@ -174,11 +174,14 @@ def _answered(options: argparse.Namespace, screen: Screen, asked: Query, subscri
     from cfgplan_runtime.reasoning.engine import Engine
     from cfgplan_runtime.reasoning.queries import UnmetTargetsError
 
+    from cfgplan.reasons import shared_reasons
+
     show = as_json(screen) if screen.json else as_text(screen, options.formula, verbose=options.verbose)
     try:
         answer = Engine(asked, subscriptions, show).run(for_s=options.span, wait_s=options.wait)
     except UnmetTargetsError as error:
-        screen.faults([Fault(reason, mend="--wait TIME waits for it") for reason in error.reasons.values()])
+        told = shared_reasons(error.reasons)
+        screen.faults([Fault(one.text, mend="--wait TIME waits for it") for one in told])
         return Exit.NO_PLAN
     return _EXITS[answer.verdict]
 
