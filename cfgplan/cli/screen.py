@@ -35,6 +35,8 @@ WORK_TOLD_S = 5.0
 
 _ESCAPE = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)|.)")
 """A terminal's control sequence."""
+_AT_LINE_END = re.compile(r"(?: |\x1b\[[\d;]*m)+$", re.MULTILINE)
+"""Spaces and colours at the end of a line."""
 
 
 def printable(text: str) -> str:
@@ -118,16 +120,19 @@ class Screen:
                 over.wait()
 
     def show(self, result: RenderableType) -> None:
-        """Print a result for people; a terminal wraps long lines. Files and pipes get no spaces at line ends."""
+        """Print a result for people; a terminal wraps long lines, those of tables too, so that no name is cut."""
         if isinstance(result, Text) and _takes_plain_text(sys.stdout):
             _put(sys.stdout, result)
-        elif _takes_plain_text(sys.stdout):
-            with self._out.capture() as shown:
-                self._out.print(result, soft_wrap=True)
-            self.write("\n".join(line.rstrip(" ") for line in shown.get().split("\n")))
-            self.flush()
-        else:
-            self._out.print(result, soft_wrap=True)
+            return
+        from rich.console import Group
+        from rich.table import Table
+
+        is_whole = not sys.stdout.isatty() or isinstance(result, (Table, Group))
+        out = self._console(_WIDTH_OF_A_FILE if is_whole else None)
+        with out.capture() as shown:
+            out.print(result, soft_wrap=True)
+        self.write(_AT_LINE_END.sub(lambda end: end[0].replace(" ", ""), shown.get()))
+        self.flush()
 
     def show_json(self, document: object) -> None:
         """Print a result for machines: a mapping or a dataclass, as `_plain` says it."""
@@ -215,18 +220,11 @@ class Screen:
         """Report a bug of this package: the input is not to blame."""
         self.faults([Fault(f"internal error: {type(error).__name__}: {error}", mend=blamed(error))])
 
-    @cached_property
-    def _out(self) -> Console:
+    def _console(self, width: int | None) -> Console:
+        """A console for results, of the terminal's width if none is given."""
         from rich.console import Console
 
-        class Out(Console):
-            def on_broken_pipe(self) -> None:
-                """Leave it to `main`, as with everything else that is written."""
-                raise BrokenPipeError
-
-        # Text for a file or a program is not cut at the edge of a screen.
-        width = None if sys.stdout.isatty() else _WIDTH_OF_A_FILE
-        return Out(highlight=False, markup=False, emoji=False, width=width)
+        return Console(highlight=False, markup=False, emoji=False, width=width)
 
     @cached_property
     def _err(self) -> Console:
