@@ -498,6 +498,17 @@ def test_what_was_learned_is_kept_from_run_to_run(
     assert list(tmp_path.glob("*.damaged"))
 
 
+@pytest.mark.parametrize("content", ['{"name": "app", "version": 1}', "[]", '{"format": "cfgplan/1"}'])
+def test_a_json_file_of_another_kind_is_not_replaced_by_estimates(
+    env: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str
+) -> None:
+    """It was taken for a damaged file of estimates, renamed, and written anew."""
+    (file := tmp_path / "package.json").write_text(content)
+    assert main(["run", str(env), "--estimates", str(file)]) == 30
+    assert f"{file}: this file has other content than estimates" in capsys.readouterr().err
+    assert file.read_text() == content
+
+
 def test_a_recorded_run_is_read_back_with_streams_and_reviews(env: Path, tmp_path: Path) -> None:
     from mcap.reader import make_reader
 
