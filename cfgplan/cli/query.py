@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 
     from cfgplan.api import World
 
+_SETTLED_S = 60.0
+_LOOKS_S = 0.1
 _EXITS = {"true": Exit.OK, "false": Exit.INVALID, "open": Exit.NOT_PROVEN, "unknown": Exit.NO_ANSWER}
 
 
@@ -77,6 +80,20 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
+    from cfgplan_runtime.reasoning.queries import UnmetTargetsError
+
+    from cfgplan.reasons import shared_reasons
+
+    try:
+        return _run(options, screen)
+    except UnmetTargetsError as error:
+        told = shared_reasons(error.reasons)
+        screen.faults([Fault(one.text, mend="--wait TIME waits for it") for one in told])
+        return Exit.NO_PLAN
+
+
+def _run(options: argparse.Namespace, screen: Screen) -> Exit:
+    """Answer the query. Raises UnmetTargetsError."""
     from cfgplan_runtime.reasoning import features
 
     if options.env is None and os.path.isfile(options.formula):  # noqa: PTH113 - a long formula is no path
@@ -99,10 +116,14 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
 @contextmanager
 def _own(options: argparse.Namespace, screen: Screen, asked: Query, world: World) -> Iterator[Subscriptions]:
-    """Yield subscriptions in a life-cycle of our own, which starts only the units that the query needs."""
+    """Yield subscriptions in a life-cycle of our own, which starts only the units that the query needs.
+
+    Raises UnmetTargetsError if a target of the file that the query names is not met within `--wait`.
+    """
     from cfgplan_runtime import Runtime
     from cfgplan_runtime.lifecycle.manager import Manager
     from cfgplan_runtime.reasoning.managed import ManagedSubscriptions
+    from cfgplan_runtime.reasoning.queries import UnmetTargetsError
 
     from cfgplan.domain import Environment
 
@@ -116,9 +137,17 @@ def _own(options: argparse.Namespace, screen: Screen, asked: Query, world: World
         Runtime(folder=folder if folder.is_dir() else folder.parent) as runtime,
         Manager(empty, runtime) as manager,
     ):
+        subscriptions = ManagedSubscriptions(manager, runtime.id)
         with screen.phase("set up"):
-            manager.settle(60.0)
-        yield ManagedSubscriptions(manager, runtime.id)
+            manager.settle(_SETTLED_S)
+            end_s = time.monotonic() + options.wait
+            while (unmet := subscriptions.unmet([target.label for target in targets])) and time.monotonic() < end_s:
+                time.sleep(_LOOKS_S)
+        if unmet:
+            for fault in shared.code_faults(world, [one.label for one in found.library if one.source]):
+                screen.warn_of(fault)
+            raise UnmetTargetsError(unmet)
+        yield subscriptions
 
 
 def _read(options: argparse.Namespace, screen: Screen, known: DeclaredFeatures) -> Query:
@@ -172,18 +201,9 @@ def _check_tags(asked: Query, world: World) -> None:
 
 def _answered(options: argparse.Namespace, screen: Screen, asked: Query, subscriptions: Subscriptions) -> Exit:
     from cfgplan_runtime.reasoning.engine import Engine
-    from cfgplan_runtime.reasoning.queries import UnmetTargetsError
-
-    from cfgplan.reasons import shared_reasons
 
     show = as_json(screen) if screen.json else as_text(screen, options.formula, verbose=options.verbose)
-    try:
-        answer = Engine(asked, subscriptions, show).run(for_s=options.span, wait_s=options.wait)
-    except UnmetTargetsError as error:
-        told = shared_reasons(error.reasons)
-        screen.faults([Fault(one.text, mend="--wait TIME waits for it") for one in told])
-        return Exit.NO_PLAN
-    return _EXITS[answer.verdict]
+    return _EXITS[Engine(asked, subscriptions, show).run(for_s=options.span, wait_s=options.wait).verdict]
 
 
 def as_json(screen: Screen) -> Callable[[QueryReport], None]:
