@@ -27,8 +27,10 @@ if TYPE_CHECKING:
 
     from cfgplan.api import World
 
-_SETTLED_S = 60.0
-_LOOKS_S = 0.1
+_SET_UP_S = 60.0
+"""The longest wait for the first review."""
+_ASKS_S = 0.1
+"""Seconds between two looks whether a target is met."""
 _EXITS = {"true": Exit.OK, "false": Exit.INVALID, "open": Exit.NOT_PROVEN, "unknown": Exit.NO_ANSWER}
 
 
@@ -139,10 +141,10 @@ def _own(options: argparse.Namespace, screen: Screen, asked: Query, world: World
     ):
         subscriptions = ManagedSubscriptions(manager, runtime.id)
         with screen.phase("set up"):
-            manager.settle(_SETTLED_S)
+            manager.settle(_SET_UP_S)
             end_s = time.monotonic() + options.wait
             while (unmet := subscriptions.unmet([target.label for target in targets])) and time.monotonic() < end_s:
-                time.sleep(_LOOKS_S)
+                time.sleep(_ASKS_S)
         if unmet:
             for fault in shared.code_faults(world, [one.label for one in found.library if one.source]):
                 screen.warn_of(fault)

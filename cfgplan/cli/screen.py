@@ -120,18 +120,22 @@ class Screen:
                 over.wait()
 
     def show(self, result: RenderableType) -> None:
-        """Print a result for people; a terminal wraps long lines, those of tables too, so that no name is cut."""
-        if isinstance(result, Text) and _takes_plain_text(sys.stdout):
-            _put(sys.stdout, result)
-            return
-        from rich.console import Group
-        from rich.table import Table
+        """Print a result for people, without spaces at line ends.
 
-        is_whole = not sys.stdout.isatty() or isinstance(result, (Table, Group))
-        out = self._console(_WIDTH_OF_A_FILE if is_whole else None)
-        with out.capture() as shown:
-            out.print(result, soft_wrap=True)
-        self.write(_AT_LINE_END.sub(lambda end: end[0].replace(" ", ""), shown.get()))
+        A terminal wraps long lines, those of tables too, so that no name is cut.
+        """
+        if isinstance(result, Text) and _takes_plain_text(sys.stdout):
+            shown = f"{result.plain}\n"
+        else:
+            from rich.console import Group
+            from rich.table import Table
+
+            is_whole = not sys.stdout.isatty() or isinstance(result, (Table, Group))
+            out = self._console(_WIDTH_OF_A_FILE if is_whole else None)
+            with out.capture() as captured:
+                out.print(result, soft_wrap=True)
+            shown = captured.get()
+        self.write(_AT_LINE_END.sub(lambda end: end[0].replace(" ", ""), shown))
         self.flush()
 
     def show_json(self, document: object) -> None:
@@ -201,7 +205,8 @@ class Screen:
     def _say(self, text: Text) -> None:
         """Print text on stderr."""
         if _takes_plain_text(sys.stderr):
-            _put(sys.stderr, text)
+            sys.stderr.write(f"{text.plain}\n")
+            sys.stderr.flush()
         else:
             self._err.print(text, soft_wrap=True)
 
@@ -236,11 +241,6 @@ class Screen:
 def _takes_plain_text(stream: TextIO) -> bool:
     """Whether rich would print no colours there either."""
     return not (stream.isatty() or "FORCE_COLOR" in os.environ or "TTY_COMPATIBLE" in os.environ)
-
-
-def _put(stream: TextIO, text: Text) -> None:
-    stream.write(f"{text.plain}\n")
-    stream.flush()
 
 
 def append_excerpt(text: Text, fault: Fault, style: str, command: Sequence[str] = ()) -> None:
