@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
+import sys
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
 from typing import Final, Protocol, TypeVar
@@ -17,7 +19,13 @@ from cfgplan.summary import some
 LEFT_OUT: Final = "left out for now"
 """A reason with these words names transformations that facts or failures forbid."""
 _MOST_OMITTED = 3
-"""A reason names at most this many omitted transformations; `omitted` of the environment has all."""
+"""A reason names at most this many omitted transformations of one cause, and as many causes; `omitted` of the
+environment has all.
+"""
+_WANTED = re.compile(r"target (?P<label>.+?) wants (?P<tag>.+?), but (?P<fault>.+)", re.DOTALL)
+_UNMATCHED = re.compile(r"(?P<of>input .+? of .+?) needs (?P<fault>.+, and no output matches)", re.DOTALL)
+_OMITTED = re.compile(rf"needs (?P<fault>transformations that are {LEFT_OUT}: )(?P<of>.+?)(?P<why> \(.+)", re.DOTALL)
+"""The parts of a reason: a target with its tag, and the fault, with the inputs or transformations that have it."""
 Item = TypeVar("Item")
 
 
@@ -66,6 +74,50 @@ def pinned_reasons(problem: Problem) -> dict[str, str]:
                 why = dead_ends.reason(f"its input {unfed[0].name}", unfed[0].tag)
             found[unit.id] = f"pinned unit {unit.id} can't be fed: {why}"
     return found
+
+
+@dataclass(frozen=True)
+class SharedReason:
+    """Why targets are not met; `labels` are these targets. The text is a sentence about them if `names_them`."""
+
+    labels: tuple[str, ...]
+    text: str
+    names_them: bool
+
+
+def shared_reasons(reasons: Mapping[str, str], most: int = sys.maxsize) -> list[SharedReason]:
+    """Return the reasons of targets, by label, so that each fault is told once, with all targets, inputs and
+    transformations that have it. At most `most` of each are named.
+    """
+    faults = grouped((_fault(reason), label) for label, reason in reasons.items())
+    return [_shared(fault, labels, reasons, most) for fault, labels in faults.items()]
+
+
+def _fault(reason: str) -> str:
+    """The part of a reason that several targets may have in common."""
+    wanted = _WANTED.fullmatch(reason)
+    fault = reason if wanted is None else wanted["fault"]
+    if unmatched := _UNMATCHED.fullmatch(fault):
+        return unmatched["fault"]
+    omitted = _OMITTED.fullmatch(fault)
+    return fault if omitted is None else f"{omitted['fault']}{omitted['why']}"
+
+
+def _shared(fault: str, labels: Sequence[str], reasons: Mapping[str, str], most: int) -> SharedReason:
+    wanted = [found for label in labels if (found := _WANTED.fullmatch(reasons[label]))]
+    if len(labels) == 1 or not wanted:
+        return SharedReason(tuple(labels), reasons[labels[0]], bool(wanted))
+    leads = [
+        f"target{'s' if len(these) > 1 else ''} {some(these, most)} want{'' if len(these) > 1 else 's'} {tag}"
+        for tag, these in grouped((one["tag"], one["label"]) for one in wanted).items()
+    ]
+    told = [one["fault"] for one in wanted]
+    if inputs := dict.fromkeys(found["of"] for each in told if (found := _UNMATCHED.fullmatch(each))):
+        fault = f"{some(inputs, most)} need{'' if len(inputs) > 1 else 's'} {fault}"
+    elif omitted := [found for each in told if (found := _OMITTED.fullmatch(each))]:
+        names = dict.fromkeys(found["of"] for found in omitted)
+        fault = f"need {omitted[0]['fault']}{some(names, most)}{omitted[0]['why']}"
+    return SharedReason(tuple(labels), f"{some(leads, most)}, but {fault}", True)
 
 
 def with_pinned_reasons(given_up: Mapping[str, str], problem: Problem) -> dict[str, str]:
@@ -298,7 +350,8 @@ class _DeadEnds:
         """Return a sentence that names the nearest dead end: why nothing can feed the demand of `who` for `tag`."""
         wanted = f"{who} wants {tag}"
         if not self._possible.isdisjoint(self._providers.of(tag)):
-            named = (f"{label} ({self._omitted[label]})" for label in self._omitted_for(tag))
+            labels_of = grouped((self._omitted[label], label) for label in self._omitted_for(tag))
+            named = (f"{some(labels, _MOST_OMITTED)} ({why})" for why, labels in labels_of.items())
             return f"{wanted}, but needs transformations that are {LEFT_OUT}: {some(named, _MOST_OMITTED)}"
         return f"{wanted}, but {self._nearest(tag)}"
 

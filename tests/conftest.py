@@ -164,9 +164,10 @@ def soaks_left_out(items: list[pytest.Item], share: int = SHARE) -> list[pytest.
 
 def _share_of(whole: settings) -> settings:
     number = max(min(FEWEST_EXAMPLES, whole.max_examples), whole.max_examples // SHARE)
-    # A busy computer draws slowly, which says nothing about a strategy.
+    # A busy computer draws and runs slowly, which says nothing about a strategy or a property.
     ignored = {*whole.suppress_health_check, HealthCheck.too_slow}
-    return settings(whole, max_examples=number, derandomize=False, database=None, suppress_health_check=ignored)
+    kept = {"derandomize": False, "database": None, "deadline": None}
+    return settings(whole, max_examples=number, suppress_health_check=ignored, **kept)
 
 
 @pytest.fixture(scope="session")

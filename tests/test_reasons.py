@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.planning import Problem
-from cfgplan.reasons import Providers, assign_different, startable, unmet_reasons
+from cfgplan.reasons import Providers, assign_different, shared_reasons, startable, unmet_reasons
 from cfgplan.validity.startable import different_choices_exist
 
 
@@ -170,3 +170,62 @@ def test_with_the_named_transformations_the_target_could_be_met(gone: set[str], 
         assert omitting("C", dict.fromkeys(gone - named, "now"), *library) != text
     elif text is not None:
         assert omitting("C", {}, *library) == text
+
+
+def texts(reasons: dict[str, str], most: int = 9) -> list[str]:
+    return [shared.text for shared in shared_reasons(reasons, most)]
+
+
+def reasons_of(library: list[Transformation], omitted: dict[str, str], wanted: str) -> dict[str, str]:
+    targets = tuple(Target(f"t{number}", tag, f"/{number}") for number, tag in enumerate(wanted))
+    environment = Environment((), tuple(library), targets).omitting(omitted)
+    return unmet_reasons(Problem(environment, Similarity({tag: frozenset(tag) for tag in "ABCDE"}), 1))
+
+
+def test_a_tag_that_nothing_matches_is_told_once_with_all_inputs_and_targets() -> None:
+    library = [make("one", "A", "B"), make("two", "A", "C"), make("three", "C", "D")]
+    unmatched, wanted = texts(reasons_of(library, {}, "BBCDEE"))
+    leads, inputs = "targets t0, t1 want B, target t2 wants C, target t3 wants D", "input in0 of one, input in0 of two"
+    assert unmatched == f"{leads}, but {inputs} need A, and no output matches"
+    assert wanted == "targets t4, t5 want E, but no output matches"
+
+
+def test_a_cause_of_omitted_transformations_is_told_once_with_all_of_them() -> None:
+    library = [make("eye", "", "A"), make("ear", "", "B"), make("nose", "", "C"), make("both", "AB", "D")]
+    night = "env.py:1:8: it imports night, which is not there"
+    found = reasons_of(library, {"eye": night, "ear": night, "nose": "it is cold"}, "ABCD")
+    assert found["t3"].endswith(f"left out for now: ear, eye ({night})")
+    assert texts({label: found[label] for label in ("t0", "t1", "t2")}) == [
+        f"target t0 wants A, target t1 wants B, but need transformations that are left out for now: eye, ear ({night})",
+        "target t2 wants C, but needs transformations that are left out for now: nose (it is cold)",
+    ]
+
+
+def test_reasons_of_other_kinds_are_shared_as_they_are() -> None:
+    late = {label: f"target {label} wants A, but time ran out" for label in "xy"}
+    (told,) = shared_reasons(late)
+    assert (told.labels, told.text, told.names_them) == (("x", "y"), "targets x, y want A, but time ran out", True)
+    (gone,) = shared_reasons(dict.fromkeys("xy", "its host r1 is gone"))
+    assert (gone.labels, gone.text, gone.names_them) == (("x", "y"), "its host r1 is gone", False)
+    assert texts({f"t{n}": f"target t{n} wants A, but time ran out" for n in range(5)}, 2) == [
+        "targets t0, t1 and 3 more want A, but time ran out"
+    ]
+
+
+@given(
+    st.sets(st.sampled_from("abcdef")),
+    st.lists(st.sampled_from(["", "A", "B", "AB", "E"]), min_size=6),
+    st.text("ABCDE", min_size=1, max_size=8),
+)
+def test_each_target_is_told_of_once_and_each_fault_too(gone: set[str], needs: list[str], wanted: str) -> None:
+    library = [make(label, need, give) for label, need, give in zip("abcdef", needs, "ABABCD", strict=False)]
+    reasons = reasons_of(library, dict.fromkeys(sorted(gone), "it is night"), wanted)
+    told = shared_reasons(reasons)
+    assert sorted(label for shared in told for label in shared.labels) == sorted(reasons)
+    assert sum("night" in shared.text for shared in told) <= 1
+    for shared in told:
+        assert shared.text == reasons[shared.labels[0]] or len(shared.labels) > 1
+        assert all(label in shared.text for label in shared.labels)
+    unmatched = [shared.text.partition("need")[2] for shared in told if "need" in shared.text]
+    missing = [text.lstrip("s ") for text in unmatched if text.endswith(" and no output matches")]
+    assert len(missing) == len({*missing})

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from cfgplan.amounts import clock_time, rate, span
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import Exit
-from cfgplan.cli.screen import OUTPUT_VERSION, Screen, counted, printable
+from cfgplan.cli.screen import Screen, counted, json_line, printable
 from cfgplan.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
@@ -97,7 +96,7 @@ def _last(records: Sequence[Mapping[str, Any]], number: int | None) -> Sequence[
 
 def _tell_event(event: Mapping[str, Any], screen: Screen) -> None:
     if screen.json:
-        screen.write(json.dumps({"format_version": OUTPUT_VERSION, **event}) + "\n")
+        screen.write_json(event)
     elif event["says"] is not None:
         screen.write(f"{clock_time(event['time_s'])}  {printable(event['says'])}\n")
     screen.flush()
@@ -117,7 +116,7 @@ def _logs(control: Control, screen: Screen, options: argparse.Namespace) -> Exit
             for line in lines:
                 after = line["number"]
                 if screen.json:
-                    screen.write(json.dumps({"format_version": OUTPUT_VERSION, **line}, ensure_ascii=False) + "\n")
+                    screen.write_json(line)
                 else:
                     unit = "" if line["unit"] == name else f"{line['unit']}  "
                     screen.write(f"{clock_time(line['time_s'])}  {unit}{printable(line['line'])}\n")
@@ -262,7 +261,7 @@ def _count(control: Control, name: str, noun: str) -> int | None:
 def _tell_count(screen: Screen, name: str, noun: str, count: int, seconds: float) -> None:
     if screen.json:
         figures = {"rate_hz": round(count / seconds, 6), f"{noun}s": count, "seconds": round(seconds, 3)}
-        screen.tell(json.dumps({"format_version": OUTPUT_VERSION, "name": name, **figures}))
+        screen.tell(json_line({"name": name, **figures}))
     else:
         often = f"{rate(count / seconds)}: {counted(count, noun)}" if count else f"no {noun}"
         screen.tell(f"{often} in {span(seconds)}")
@@ -276,7 +275,7 @@ def _tell_pace(screen: Screen, name: str, periods_s: Sequence[float]) -> None:
         figures = {"rate_hz": 1 / mean_s if mean_s else None, "least_s": min(periods_s), "most_s": max(periods_s)}
         rounded = {key: None if value is None else round(value, 6) for key, value in figures.items()}
         line = {"name": name, **rounded, "jitter_s": round(jitter_s, 6), "intervals": len(periods_s)}
-        screen.tell(json.dumps({"format_version": OUTPUT_VERSION, **line}))
+        screen.tell(json_line(line))
         return
     often = rate(1 / mean_s) if mean_s else "all at once"
     apart = f"{span(min(periods_s))} to {span(max(periods_s))} apart, jitter {span(jitter_s)}"

@@ -35,6 +35,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
     if options.page is not None:
         shared.needed_for_pages()
+        shared.check_port("--page", options.page, "the page")
     sys.path.insert(0, str(_folder(options.world)))
     from nao_demo.narrator import show
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
+from itertools import islice
 from typing import TYPE_CHECKING
 
 from cfgplan.canonical import normal
@@ -18,6 +19,8 @@ from cfgplan.errors import known
 from cfgplan.explaining import Blocked, Choice, Clash, Unfed, Unreachable, Unused, Why, WhyNot
 from cfgplan.explaining.why_words import choice_line, forced_by, instead, named_labels, why_lines
 from cfgplan.figures import amount
+from cfgplan.onward import grouped
+from cfgplan.reasons import shared_reasons
 from cfgplan.summary import some
 
 if TYPE_CHECKING:
@@ -166,8 +169,10 @@ def why_not_text(problem: Problem, why: WhyNot) -> Text:
     """Return why no plan exists, target by target; ends without a newline."""
     environment = problem.environment
     lines: list[Text] = []
-    for reason in why.unreachable:
-        lines += [Text(line) for line in unreachable_lines(environment, reason, f"target {reason.target} wants")]
+    trees, reasons = _Trees(environment), grouped(((one.wanted, one.blocked), one.target) for one in why.unreachable)
+    for (wanted, blocked), targets in reasons.items():
+        opening = f"{named_labels('target', tuple(targets))} want{'' if len(targets) > 1 else 's'}"
+        lines += [Text(line) for line in trees.shortened(wanted, blocked, opening)]
     if why.clash is not None:
         lines.append(Text(clash_line(why.clash)))
         if why.clash.limits:
@@ -175,18 +180,11 @@ def why_not_text(problem: Problem, why: WhyNot) -> Text:
             these = "these limits together forbid it" if len(why.clash.limits) > 1 else "this limit forbids it"
             lines.append(Text(f"  {these}: {named}"))
         told = {reason.target for reason in why.unreachable}
-        lines += [Text(f"  {reason}") for label, reason in why.plan.reasons.items() if label not in told]
+        others = {label: reason for label, reason in why.plan.reasons.items() if label not in told}
+        lines += [Text(f"  {one.text}") for one in shared_reasons(others)]
     for unused in why.unused:
         lines += [Text(line) for line in unused_lines(problem, unused)]
     return Text("\n").join(lines)
-
-
-def unreachable_lines(environment: Environment, reason: Unreachable, opening: str) -> Iterator[str]:
-    """The tree of a reason, each transformation once."""
-    lines = list(_tree(environment, reason, opening))
-    yield from lines[:MOST_LINES]
-    if len(lines) > MOST_LINES:
-        yield f"  ... and {len(lines) - MOST_LINES} more lines, all in --json"
 
 
 def clash_line(clash: Clash) -> str:
@@ -213,7 +211,7 @@ def unused_lines(problem: Problem, unused: Unused) -> Iterator[str]:
     if unused.blocked is not None:
         (first,) = unused.blocked.blocked[:1]
         yield f"{who}: it can't run"
-        yield from ("  " + line for line in _below(environment, unused.blocked, first.transformation))
+        yield from ("  " + line for line in _Trees(environment).below(unused.blocked.blocked, first.transformation))
     elif not unused.proven:
         yield f"{who}: no plan that uses it was found, nor a proof that there is none"
     elif unused.excluded_by:
@@ -237,7 +235,8 @@ def _why_useless(problem: Problem, label: str) -> str:
 def pinned_lines(environment: Environment, unit: str, why: Unreachable) -> Iterator[str]:
     """Why a pinned unit can't be fed, down to the outputs that come nearest."""
     yield f"pinned unit {unit} is stopped, since it can't be fed"
-    yield from ("  " + line for line in _below(environment, why, environment.unit[unit].transformation))
+    blocked = _Trees(environment).below(why.blocked, environment.unit[unit].transformation)
+    yield from (f"  {line}" for line in blocked)
 
 
 def why_text(why: Why) -> Text:
@@ -273,55 +272,71 @@ def _briefly(why: Why) -> str:
     return "not decided: time ran out before the cost of doing without it was known"
 
 
-def _tree(environment: Environment, reason: Unreachable, opening: str) -> Iterator[str]:
-    yield from _demand(environment, reason.wanted, opening)
-    for provider in reason.wanted.providers:
-        yield from ("  " + line for line in _below(environment, reason, provider))
+class _Trees:
+    """Lines of reasons as trees. Each transformation and each unmatched tag is explained once in all of them."""
 
+    def __init__(self, environment: Environment) -> None:
+        self._environment = environment
+        self._told: set[str] = set()
+        self._told_tags: set[str] = set()
 
-def _below(environment: Environment, reason: Unreachable, root: str) -> Iterator[str]:
-    """The blockers of a transformation, depth first, each one once."""
-    blocked = {each.transformation: each for each in reason.blocked}
-    told: set[str] = set()
-    ahead: list[tuple[int, str, tuple[str, ...]]] = [(0, root, ())]
-    while ahead:
-        depth, label, above = ahead.pop()
-        indent = "  " * depth
-        if label not in blocked:
-            continue
-        if label in told:
-            again = "is fed only by itself, see above" if label in above else "see above"
-            yield f"{indent}{label}: {again}"
-            continue
-        told.add(label)
-        each = blocked[label]
-        for line in _blocked(environment, each):
-            yield indent + line
-        providers = [provider for unfed in each.inputs for provider in unfed.providers]
-        ahead += [(depth + 1, provider, (*above, label)) for provider in reversed(list(dict.fromkeys(providers)))]
+    def shortened(self, wanted: Unfed, blocked: Sequence[Blocked], opening: str) -> Iterator[str]:
+        """Yield the first lines about a demand that can't be fed, and how many more there are."""
+        lines = self._tree(wanted, blocked, opening)
+        yield from islice(lines, MOST_LINES)
+        told, told_tags = self._told.copy(), self._told_tags.copy()
+        if more := sum(1 for _ in lines):
+            yield f"  ... and {more} more lines, all in --json"
+        self._told, self._told_tags = told, told_tags
 
+    def _tree(self, wanted: Unfed, blocked: Sequence[Blocked], opening: str) -> Iterator[str]:
+        yield from self._demand(wanted, opening)
+        for provider in wanted.providers:
+            yield from ("  " + line for line in self.below(blocked, provider))
 
-def _blocked(environment: Environment, blocked: Blocked) -> Iterator[str]:
-    if len(blocked.inputs) == 1:
-        (unfed,) = blocked.inputs
-        yield from _demand(environment, unfed, f"{blocked.transformation}: input {unfed.port} wants")
-        return
-    names = " and ".join(unfed.port or "" for unfed in blocked.inputs)
-    able = f"only {some(blocked.available)} can feed them" if blocked.available else "nothing can feed them"
-    yield f"{blocked.transformation}: inputs {names} must be fed by different transformations, but {able}"
+    def below(self, all_blocked: Sequence[Blocked], root: str) -> Iterator[str]:
+        """Yield the blockers of a transformation, depth first."""
+        blocked = {each.transformation: each for each in all_blocked}
+        ahead: list[tuple[int, str, tuple[str, ...]]] = [(0, root, ())]
+        while ahead:
+            depth, label, above = ahead.pop()
+            indent = "  " * depth
+            if label not in blocked:
+                continue
+            if label in self._told:
+                again = "is fed only by itself, see above" if label in above else "see above"
+                yield f"{indent}{label}: {again}"
+                continue
+            self._told.add(label)
+            each = blocked[label]
+            for line in self._blocked(each):
+                yield indent + line
+            providers = [provider for unfed in each.inputs for provider in unfed.providers]
+            ahead += [(depth + 1, provider, (*above, label)) for provider in reversed(list(dict.fromkeys(providers)))]
 
+    def _blocked(self, blocked: Blocked) -> Iterator[str]:
+        if len(blocked.inputs) == 1:
+            (unfed,) = blocked.inputs
+            yield from self._demand(unfed, f"{blocked.transformation}: input {unfed.port} wants")
+            return
+        names = " and ".join(unfed.port or "" for unfed in blocked.inputs)
+        able = f"only {some(blocked.available)} can feed them" if blocked.available else "nothing can feed them"
+        yield f"{blocked.transformation}: inputs {names} must be fed by different transformations, but {able}"
 
-def _demand(environment: Environment, unfed: Unfed, opening: str) -> Iterator[str]:
-    if unfed.providers or unfed.left_out:
-        yield f"{opening} {unfed.tag}, but no transformation that offers it can run"
-        if unfed.undecided:
-            yield f"    not decided yet whether {some(unfed.undecided)} matches"
-        yield from (f"    left out for now: {label}, {why}" for label, why in unfed.left_out)
-        return
-    yield f"{opening} {unfed.tag}, but no output matches"
-    fewest = min((len(offer.missing) for offer in unfed.nearest), default=0)
-    for offer in unfed.nearest:
-        if len(offer.missing) > fewest:
-            continue
-        providers = some(name for name, tag in environment.outputs.items() if tag == offer.offered)
-        yield f"    nearest: {providers} gives {offer.offered}: {offer.verdict}"
+    def _demand(self, unfed: Unfed, opening: str) -> Iterator[str]:
+        if unfed.providers or unfed.left_out:
+            yield f"{opening} {unfed.tag}, but no transformation that offers it can run"
+            if unfed.undecided:
+                yield f"    not decided yet whether {some(unfed.undecided)} matches"
+            labels_of = grouped((why, label) for label, why in unfed.left_out)
+            yield from (f"    left out for now: {', '.join(labels)}, {why}" for why, labels in labels_of.items())
+            return
+        is_new = unfed.tag not in self._told_tags
+        self._told_tags.add(unfed.tag)
+        yield f"{opening} {unfed.tag}, but no output matches{'' if is_new or not unfed.nearest else ', see above'}"
+        fewest = min((len(offer.missing) for offer in unfed.nearest), default=0)
+        for offer in unfed.nearest if is_new else ():
+            if len(offer.missing) > fewest:
+                continue
+            providers = some(name for name, tag in self._environment.outputs.items() if tag == offer.offered)
+            yield f"    nearest: {providers} gives {offer.offered}: {offer.verdict}"

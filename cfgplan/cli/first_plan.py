@@ -12,7 +12,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from cfgplan.cli.screen import OUTPUT_VERSION, Screen, counted
+from cfgplan.cli.screen import Screen, counted, json_line
 from cfgplan.domain import Environment
 from cfgplan.errors import Fault, InputError
 from cfgplan.onward import grouped
@@ -90,8 +90,7 @@ class FirstPlan:
     def tell(self, screen: Screen) -> None:
         """Print the plan as a line of JSON, as one of the run's events."""
         document = json.loads(self.document())
-        told = {"format_version": OUTPUT_VERSION, "event": "Planned", "plan": document, "ended": list(self.ended)}
-        screen.tell(json.dumps(told))
+        screen.tell(json_line({"event": "Planned", "plan": document, "ended": self.ended}))
 
     def confirm(self, screen: Screen) -> bool:
         """Ask whether to go on where units of an earlier run would be stopped. Returns whether to.

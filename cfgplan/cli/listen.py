@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from collections import deque
 from collections.abc import Iterator
@@ -70,7 +69,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
                     if screen.json:
                         line = {"topic": options.topic, "time_ns": received.time_ns, "value": plain(received.value)}
                         more = {"latency_ms": round(latency_ms, 3), "rate_hz": round(rate, 2)}
-                        screen.write(json.dumps({**line, **more, "dropped": subscription.dropped}) + "\n")
+                        screen.write_json({**line, **more, "dropped": subscription.dropped})
                     else:
                         at = exact_clock_time(received.time_ns)
                         pace = f"{often(rate)}, " if rate else ""

@@ -7,6 +7,7 @@ import json
 import os
 import re
 import shlex
+import socket
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -44,6 +45,18 @@ def add_page(parser: argparse.ArgumentParser, about: str) -> None:
     """`--page`: serve a page while the command works; None if it is not asked for."""
     means = f"serve a web page about {about} on port N of 127.0.0.1 (default: any free port)"
     parser.add_argument("--page", type=port, nargs="?", const=0, metavar="N", help=means)
+
+
+def check_port(option: str, number: int | None, who: str) -> None:
+    """Raise InputError if a port of 127.0.0.1, given by an option, is in use; 0 and None take any that is free."""
+    with socket.socket() as tried:
+        tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            tried.bind(("127.0.0.1", number or 0))
+            tried.listen()  # two may be bound to an address while neither listens
+        except OSError as error:
+            told = f"{option} {number}: {who} can't be served there: {error.strerror}"
+            raise InputError.of(told, mend="name another port; 0 takes any that is free") from None
 
 
 def add_allow_code(parser: argparse.ArgumentParser) -> None:

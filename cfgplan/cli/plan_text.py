@@ -14,6 +14,7 @@ from cfgplan.figures import CostParts, amount, cost_parts, link_loads, loads, to
 from cfgplan.planners import IGNORING_REQUIRED
 from cfgplan.planning import Failures, Plan, Problem, Status
 from cfgplan.qualities import Better, Wish
+from cfgplan.reasons import shared_reasons
 from cfgplan.ros.sources import NodeSource
 from cfgplan.summary import cpu as cpu
 
@@ -197,11 +198,10 @@ def _summary(problem: Problem, plan: Plan, given_up: Collection[str]) -> Iterato
     yield from undecided_lines(problem, plan)
     if plan.change_set is not None and given_up:
         yield Text(f"Given up: {len(given_up)} of {len(before.targets) + len(given_up)} targets.", style="bold yellow")
-    for name, reason in plan.reasons.items():
-        if plan.change_set is None or name in given_up:
-            yield Text(f"  {reason}")
-        else:
-            yield Text(f"Stopped, though pinned: {reason}.", style="bold yellow")
+    unmet = {name: why for name, why in plan.reasons.items() if plan.change_set is None or name in given_up}
+    yield from (Text(f"  {shared.text}") for shared in shared_reasons(unmet))
+    for reason in (why for name, why in plan.reasons.items() if name not in unmet):
+        yield Text(f"Stopped, though pinned: {reason}.", style="bold yellow")
     for label in plan.unused_required:
         yield Text(f"Required {label} is not used: {why_unused(plan)}.", style="yellow")
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
@@ -17,7 +17,7 @@ from cfgplan.cli import options as shared
 from cfgplan.cli.agent import add_links, reached
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.interrupts import Interrupts
-from cfgplan.cli.screen import OUTPUT_VERSION, Screen, counted
+from cfgplan.cli.screen import Screen, counted
 from cfgplan.errors import Fault, InputError, InvalidValueError
 
 if TYPE_CHECKING:
@@ -27,6 +27,10 @@ if TYPE_CHECKING:
 
     from cfgplan.api import World
 
+_SET_UP_S = 60.0
+"""The longest wait for the first review."""
+_ASKS_S = 0.1
+"""Seconds between two looks whether a target is met."""
 _EXITS = {"true": Exit.OK, "false": Exit.INVALID, "open": Exit.NOT_PROVEN, "unknown": Exit.NO_ANSWER}
 
 
@@ -78,6 +82,20 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
+    from cfgplan_runtime.reasoning.queries import UnmetTargetsError
+
+    from cfgplan.reasons import shared_reasons
+
+    try:
+        return _run(options, screen)
+    except UnmetTargetsError as error:
+        told = shared_reasons(error.reasons)
+        screen.faults([Fault(one.text, mend="--wait TIME waits for it") for one in told])
+        return Exit.NO_PLAN
+
+
+def _run(options: argparse.Namespace, screen: Screen) -> Exit:
+    """Answer the query. Raises UnmetTargetsError."""
     from cfgplan_runtime.reasoning import features
 
     if options.env is None and os.path.isfile(options.formula):  # noqa: PTH113 - a long formula is no path
@@ -100,10 +118,14 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
 @contextmanager
 def _own(options: argparse.Namespace, screen: Screen, asked: Query, world: World) -> Iterator[Subscriptions]:
-    """Yield subscriptions in a life-cycle of our own, which starts only the units that the query needs."""
+    """Yield subscriptions in a life-cycle of our own, which starts only the units that the query needs.
+
+    Raises UnmetTargetsError if a target of the file that the query names is not met within `--wait`.
+    """
     from cfgplan_runtime import Runtime
     from cfgplan_runtime.lifecycle.manager import Manager
     from cfgplan_runtime.reasoning.managed import ManagedSubscriptions
+    from cfgplan_runtime.reasoning.queries import UnmetTargetsError
 
     from cfgplan.domain import Environment
 
@@ -117,9 +139,17 @@ def _own(options: argparse.Namespace, screen: Screen, asked: Query, world: World
         Runtime(folder=folder if folder.is_dir() else folder.parent) as runtime,
         Manager(empty, runtime) as manager,
     ):
+        subscriptions = ManagedSubscriptions(manager, runtime.id)
         with screen.phase("set up"):
-            manager.settle(60.0)
-        yield ManagedSubscriptions(manager, runtime.id)
+            manager.settle(_SET_UP_S)
+            end_s = time.monotonic() + options.wait
+            while (unmet := subscriptions.unmet([target.label for target in targets])) and time.monotonic() < end_s:
+                time.sleep(_ASKS_S)
+        if unmet:
+            for fault in shared.code_faults(world, [one.label for one in found.library if one.source]):
+                screen.warn_of(fault)
+            raise UnmetTargetsError(unmet)
+        yield subscriptions
 
 
 def _read(options: argparse.Namespace, screen: Screen, known: DeclaredFeatures) -> Query:
@@ -173,21 +203,14 @@ def _check_tags(asked: Query, world: World) -> None:
 
 def _answered(options: argparse.Namespace, screen: Screen, asked: Query, subscriptions: Subscriptions) -> Exit:
     from cfgplan_runtime.reasoning.engine import Engine
-    from cfgplan_runtime.reasoning.queries import UnmetTargetsError
 
     show = as_json(screen) if screen.json else as_text(screen, options.formula, verbose=options.verbose)
-    try:
-        answer = Engine(asked, subscriptions, show).run(for_s=options.span, wait_s=options.wait)
-    except UnmetTargetsError as error:
-        screen.faults([Fault(reason, mend="--wait TIME waits for it") for reason in error.reasons.values()])
-        return Exit.NO_PLAN
-    return _EXITS[answer.verdict]
+    return _EXITS[Engine(asked, subscriptions, show).run(for_s=options.span, wait_s=options.wait).verdict]
 
 
 def as_json(screen: Screen) -> Callable[[QueryReport], None]:
     def show(report: QueryReport) -> None:
-        line = {"format_version": OUTPUT_VERSION, "event": type(report).__name__, **asdict(report)}
-        screen.write(json.dumps(line, default=sorted, ensure_ascii=False) + "\n")
+        screen.write_json({"event": type(report).__name__, **asdict(report)})
         screen.flush()
 
     return show

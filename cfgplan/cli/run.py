@@ -264,7 +264,7 @@ def _operate(
             operation = Operation(world, Path(options.env), replace(settings, beside=partial(_beside, options)))
         with operation:
             interrupts.only_count()
-            with screen.phase("plan"):
+            with screen.phase("plan and start units"):
                 while not interrupts.count and not operation.begun.wait(_LIVE_LOOK_S):
                     pass
             operation.observe()
@@ -380,8 +380,8 @@ def _adjusted(options: argparse.Namespace, world: World) -> World:
 
 
 def _estimates_file(options: argparse.Namespace) -> Path:
-    """The file of estimates. A damaged one is renamed, so anything but a JSON file is refused. Raises InputError."""
-    from cfgplan_runtime.estimating.estimates_file import default_file
+    """The file of estimates. A damaged one is renamed, so files of other kinds are refused. Raises InputError."""
+    from cfgplan_runtime.estimating.estimates_file import default_file, has_other_content
 
     if options.estimates is None:
         return default_file(Path(options.env))
@@ -389,6 +389,9 @@ def _estimates_file(options: argparse.Namespace) -> Path:
     if path.suffix != ".json":
         mend = f"name a file of its own, such as {path.stem or 'estimates'}.json"
         raise InputError.of("the name of a file of estimates must end in .json", file=str(path), mend=mend)
+    if path.is_file() and has_other_content(path):
+        mend = "name a file of its own, such as estimates.json"
+        raise InputError.of("this file has other content than estimates", file=str(path), mend=mend)
     return path
 
 

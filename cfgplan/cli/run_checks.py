@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 import os
-import socket
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cfgplan.cli import options as shared
 from cfgplan.cli.run_middleware import OF_ROS, ROS1, ROS2, fleet_of, folder_of, ros_unit_of, source_check_of
 from cfgplan.errors import Fault, InputError
 from cfgplan.onward import grouped
@@ -30,15 +30,8 @@ def check_places(options: argparse.Namespace) -> None:
     if options.record is not None and not Path(options.record).absolute().parent.is_dir():
         mend = "make the folder, or name a file in another one"
         raise InputError.of("the recording can't be written: its folder does not exist", file=options.record, mend=mend)
-    if options.metrics_port:
-        with socket.socket() as tried:
-            tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                tried.bind(("127.0.0.1", options.metrics_port))
-            except OSError as error:
-                mend = "name another port; 0 takes any that is free"
-                told = f"--metrics-port {options.metrics_port}: metrics can't be served there: {error.strerror}"
-                raise InputError.of(told, mend=mend) from None
+    shared.check_port("--metrics-port", options.metrics_port, "metrics")
+    shared.check_port("--page", options.page, "the page")
     if options.name is not None:
         for other in live_runs(base_folder()):
             if is_called(other, options.name):

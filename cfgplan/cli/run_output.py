@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import queue
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, Self
 
 from cfgplan.amounts import core_share, span
-from cfgplan.cli.screen import OUTPUT_VERSION, Screen, counted, printable
+from cfgplan.cli.screen import Screen, counted, json_line, printable
 
 if TYPE_CHECKING:
     from cfgplan_runtime.operating.operation import News, Operation
@@ -118,7 +117,7 @@ class JsonLines(RunOutput):
             self._say("Recorded", file=str(recording.path), failure=recording.failure, **counts)
 
     def _say(self, event: str, **facts: Any) -> None:
-        self._screen.tell(json.dumps({"format_version": OUTPUT_VERSION, "event": event, **facts}))
+        self._screen.tell(json_line({"event": event, **facts}))
 
 
 def fetched(operation: Operation, wait_s: float) -> Iterator[News]:

@@ -23,6 +23,7 @@ from cfgplan.amounts import clock_time, core_share, rate, span
 from cfgplan.cli.plan_text import in_stream_order
 from cfgplan.cli.run_output import RunOutput, fetched, show_files, show_ledger
 from cfgplan.cli.screen import Screen, counted, printable
+from cfgplan.reasons import shared_reasons
 from cfgplan.summary import some
 
 if TYPE_CHECKING:
@@ -213,10 +214,15 @@ def _crossings(crossings: list[Mapping[str, Any]]) -> RenderableType:
 def _targets(state: Mapping[str, Any], room: int | None = None) -> RenderableType:
     columns = (("target", 1), ("topic", 1), (">rate", 0), (">latency", 0), ("from", 2))
     ordered = sorted(state["targets"], key=lambda target: (target["met"], -target["priority"], target["label"]))
-    return _drawn(columns, [list(_target(target)) for target in ordered], room, "target")
+    told = shared_reasons({target["label"]: target["reason"] for target in ordered if not target["met"]})
+    reasons = {label: f"as {shared.labels[0]}" for shared in told for label in shared.labels}
+    reasons |= {shared.labels[0]: shared.text for shared in told}
+    rows = [list(_target(target, reasons.get(target["label"], ""))) for target in ordered]
+    return _drawn(columns, rows, room, "target")
 
 
-def _target(target: Mapping[str, Any]) -> Iterator[Text]:
+def _target(target: Mapping[str, Any], reason: str) -> Iterator[Text]:
+    """Yield the cells of a target; `reason` says why it is not met."""
     has_stream = target["stream"] is not None
     rate_hz, latency_ms = (target.get(key) if has_stream else None for key in ("rate_hz", "latency_ms"))
     yield Text(target["label"], style="green" if target["met"] else "red")
@@ -225,7 +231,7 @@ def _target(target: Mapping[str, Any]) -> Iterator[Text]:
     yield Text("" if latency_ms is None else span(latency_ms / 1e3))
     silent_s = target.get("silent_s")
     if not target["met"]:
-        yield Text(target["reason"], style="red")
+        yield Text(reason, style="red")
     elif not has_stream:
         yield Text(target["unit"])
     elif silent_s is None or silent_s > _OLD_S:

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from functools import cached_property
+from math import isfinite
 from threading import Event, Thread
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, TextIO
@@ -34,6 +35,8 @@ WORK_TOLD_S = 5.0
 
 _ESCAPE = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)|.)")
 """A terminal's control sequence."""
+_AT_LINE_END = re.compile(r"(?: |\x1b\[[\d;]*m)+$", re.MULTILINE)
+"""Spaces and colours at the end of a line."""
 
 
 def printable(text: str) -> str:
@@ -117,20 +120,31 @@ class Screen:
                 over.wait()
 
     def show(self, result: RenderableType) -> None:
-        """Print a result for people; a terminal wraps long lines. Files and pipes get no spaces at line ends."""
+        """Print a result for people, without spaces at line ends.
+
+        A terminal wraps long lines, those of tables too, so that no name is cut.
+        """
         if isinstance(result, Text) and _takes_plain_text(sys.stdout):
-            _put(sys.stdout, result)
-        elif _takes_plain_text(sys.stdout):
-            with self._out.capture() as shown:
-                self._out.print(result, soft_wrap=True)
-            self.write("\n".join(line.rstrip(" ") for line in shown.get().split("\n")))
-            self.flush()
+            shown = f"{result.plain}\n"
         else:
-            self._out.print(result, soft_wrap=True)
+            from rich.console import Group
+            from rich.table import Table
+
+            is_whole = not sys.stdout.isatty() or isinstance(result, (Table, Group))
+            out = self._console(_WIDTH_OF_A_FILE if is_whole else None)
+            with out.capture() as captured:
+                out.print(result, soft_wrap=True)
+            shown = captured.get()
+        self.write(_AT_LINE_END.sub(lambda end: end[0].replace(" ", ""), shown))
+        self.flush()
 
     def show_json(self, document: object) -> None:
         """Print a result for machines: a mapping or a dataclass, as `_plain` says it."""
-        print(json.dumps({"format_version": OUTPUT_VERSION, **_plain(document)}, indent=2, ensure_ascii=False))
+        self.write(f"{_json(document, indent=2, ensure_ascii=False)}\n")
+
+    def write_json(self, document: object) -> None:
+        """Print one of several results for machines, on a line of its own."""
+        self.write(f"{json_line(document)}\n")
 
     def write(self, text: str) -> None:
         """Print text as it is."""
@@ -179,7 +193,7 @@ class Screen:
         """Show the faults of the input: place, message, the line with a caret, mend."""
         faults = list(faults)
         if self.json:
-            self.show_json({"errors": faults})
+            self.write_json({"errors": faults})
             return
         for fault in faults:
             self._say(self._told(fault, "error: ", "bold red"))
@@ -191,7 +205,8 @@ class Screen:
     def _say(self, text: Text) -> None:
         """Print text on stderr."""
         if _takes_plain_text(sys.stderr):
-            _put(sys.stderr, text)
+            sys.stderr.write(f"{text.plain}\n")
+            sys.stderr.flush()
         else:
             self._err.print(text, soft_wrap=True)
 
@@ -210,18 +225,11 @@ class Screen:
         """Report a bug of this package: the input is not to blame."""
         self.faults([Fault(f"internal error: {type(error).__name__}: {error}", mend=blamed(error))])
 
-    @cached_property
-    def _out(self) -> Console:
+    def _console(self, width: int | None) -> Console:
+        """A console for results, of the terminal's width if none is given."""
         from rich.console import Console
 
-        class Out(Console):
-            def on_broken_pipe(self) -> None:
-                """Leave it to `main`, as with everything else that is written."""
-                raise BrokenPipeError
-
-        # Text for a file or a program is not cut at the edge of a screen.
-        width = None if sys.stdout.isatty() else _WIDTH_OF_A_FILE
-        return Out(highlight=False, markup=False, emoji=False, width=width)
+        return Console(highlight=False, markup=False, emoji=False, width=width)
 
     @cached_property
     def _err(self) -> Console:
@@ -233,11 +241,6 @@ class Screen:
 def _takes_plain_text(stream: TextIO) -> bool:
     """Whether rich would print no colours there either."""
     return not (stream.isatty() or "FORCE_COLOR" in os.environ or "TTY_COMPATIBLE" in os.environ)
-
-
-def _put(stream: TextIO, text: Text) -> None:
-    stream.write(f"{text.plain}\n")
-    stream.flush()
 
 
 def append_excerpt(text: Text, fault: Fault, style: str, command: Sequence[str] = ()) -> None:
@@ -260,8 +263,19 @@ def blamed(error: Exception) -> str:
     return "this is a bug in cfgplan: CFGPLAN_TRACEBACK=1 shows where; please report it"
 
 
+def json_line(document: object) -> str:
+    """Return a document for machines, as `_plain` says it, on one line for every reader that splits text into lines."""
+    return _json(document)
+
+
+def _json(document: object, **style: Any) -> str:
+    return json.dumps({"format_version": OUTPUT_VERSION, **_plain(document)}, allow_nan=False, **style)
+
+
 def _plain(value: object) -> Any:
-    """An explanation as JSON values. A plan becomes its status, cost and bound; a fraction becomes text."""
+    """A mapping or a dataclass as JSON values. A plan becomes its status, cost and bound; a fraction becomes text, and
+    NaN and infinite numbers, which JSON lacks, become null.
+    """
     from fractions import Fraction
 
     from cfgplan.planning import Plan
@@ -269,13 +283,15 @@ def _plain(value: object) -> Any:
     match value:
         case Enum():
             return value.value
+        case float():
+            return value if isfinite(value) else None
         case Fraction():
             return value.numerator if value.denominator == 1 else str(value)
         case Plan():
             return {"status": value.status.value, "cost_us": value.cost_us, "bound_us": value.bound_us}
         case Mapping():
             return {name: _plain(member) for name, member in value.items()}
-        case frozenset():
+        case set() | frozenset():
             return sorted(map(_plain, value))
         case tuple() | list():
             return [_plain(member) for member in value]

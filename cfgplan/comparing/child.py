@@ -26,6 +26,7 @@ from cfgplan.comparing.entrants import Entrant
 from cfgplan.comparing.runs import Point, RunFailure
 from cfgplan.errors import CfgplanError
 from cfgplan.planning import Plan, Planner, Problem, Progress
+from cfgplan.reasons import shared_reasons
 from cfgplan.validity import plan_violations
 
 SHORT_S, RUNS = 0.5, 3
@@ -86,7 +87,7 @@ def _run(entrant: Entrant, problem: bytes, time_limit_s: float, out: TextIO) -> 
         "counts": dict(plan.counts),
         "seconds": {phase: round(seconds, 6) for phase, seconds in plan.seconds.items()},
         "violations": [str(violation) for violation in plan_violations(pickle.loads(problem), plan)],
-        "message": "; ".join(sorted(set(plan.reasons.values())))[:300],
+        "message": "; ".join(shared.text for shared in shared_reasons(plan.reasons))[:300],
     }
 
 

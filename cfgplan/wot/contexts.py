@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from cfgplan.errors import InputError
-from cfgplan.file_content import content_of
+from cfgplan.formats.files import read_text
 from cfgplan.formats.json_text import read_json
 
 TD_CONTEXTS: Final = (
@@ -83,11 +83,7 @@ class Contexts:
 
 def _context(path: Path) -> object:
     """The context that a file holds. Raises InputError."""
-    try:
-        text = content_of(path).decode()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError.of(f"the context can't be read: {error}", file=str(path)) from None
-    data = read_json(text, str(path)).data
+    data = read_json(read_text(path), str(path)).data
     if not isinstance(data, dict) or "@context" not in data:
         mend = "a context is a mapping with the key `@context`"
         raise InputError.of("this file has no JSON-LD context", file=str(path), mend=mend)

@@ -9,7 +9,7 @@ from typing import Any, Final, Literal
 from urllib.parse import urljoin, urlsplit
 
 from cfgplan.errors import Fault, InputError, did_you_mean
-from cfgplan.file_content import content_of
+from cfgplan.formats.files import read_text
 from cfgplan.formats.json_text import read_json
 from cfgplan.formats.places import Passage
 from cfgplan.wot.contexts import TD_CONTEXTS
@@ -72,9 +72,7 @@ def read_things(paths: Iterable[Path]) -> tuple[Thing, ...]:
     things: list[Thing] = []
     for path in paths:
         try:
-            source = read_json(content_of(path).decode("utf-8-sig"), str(path))
-        except (OSError, UnicodeDecodeError) as error:
-            faults.append(Fault(f"the file can't be read: {error}", str(path), mend="name a file of JSON in UTF-8"))
+            source = read_json(read_text(path), str(path))
         except InputError as error:
             faults += error.faults
         else:

@@ -10,6 +10,7 @@ from textwrap import fill
 from typing import TYPE_CHECKING, NamedTuple
 
 from cfgplan.comparing import RunFailure
+from cfgplan.onward import grouped
 from experiments.study.invariants import by_instance, gap, references
 from experiments.study.rows import SHORTEST_PROOF_S, Row, planners
 
@@ -25,6 +26,8 @@ LINES = ((), (1, 1), (5, 2), (6, 2, 1, 2), (2, 2), (9, 2), (4, 1, 1, 1))
 divisor in common: as many planners as both together have different curves.
 """
 LEAST_GAP = 1e-3
+_BEYOND = 1.5
+"""A logarithmic axis ends at this multiple of the largest value, so that the last steps and their levels are seen."""
 
 
 def write_plots(rows: Sequence[Row], folder: Path) -> list[Path]:
@@ -107,17 +110,18 @@ def gap_profile(rows: Sequence[Row]) -> Figure | None:
     if not reference:
         return None
     figure, axis = plt.subplots(figsize=(7.5, 4.8), layout="constrained")
+    known = ((row, g) for row in rows if (g := gap(row, reference)) is not None)
+    gaps = grouped((row.planner, max(LEAST_GAP, g)) for row, g in known)
+    end = _BEYOND * max(map(max, gaps.values()), default=LEAST_GAP)
     for planner, style in styles(rows).items():
-        tried = _tried(rows, planner)
-        gaps = sorted(g for row in tried if (g := gap(row, reference)) is not None)
+        xs, tried, found = sorted(gaps[planner]), len(_tried(rows, planner)), len(gaps[planner])
         if tried:
-            xs = [LEAST_GAP, *(max(LEAST_GAP, g) for g in gaps), 100]
-            ys = [0, *((i + 1) / len(tried) for i in range(len(gaps))), len(gaps) / len(tried)]
-            axis.step(xs, ys, where="post", color=style.color, linestyle=style.line)
+            ys = [0, *((i + 1) / tried for i in range(found)), found / tried]
+            axis.step([LEAST_GAP, *xs, end], ys, where="post", color=style.color, linestyle=style.line)
     axis.set_xscale("log")
-    axis.set_xlim(LEAST_GAP, 100)
-    axis.set_ylim(0, 1.02)
     axis.set_xticks([0.001, 0.01, 0.1, 1, 10, 100], ["0.1 %\nor none", "1 %", "10 %", "100 %", "1,000 %", "10,000 %"])
+    axis.set_xlim(LEAST_GAP, end)  # the ticks beyond it would widen the axis
+    axis.set_ylim(0, 1.02)
     axis.set_xlabel("gap to the least known cost")
     axis.set_ylabel("share of the instances that it did not refuse")
     axis.grid(alpha=0.3)
@@ -137,18 +141,19 @@ def performance_profile(rows: Sequence[Row]) -> Figure | None:
     if not counted:
         return None
     figure, axis = plt.subplots(figsize=(7.5, 4.8), layout="constrained")
+    ratios: dict[str, list[float]] = defaultdict(list)
+    for group, best in zip(groups, fastest, strict=True):
+        for row in group:
+            if row.proof_s is not None and best is not None:
+                ratios[row.planner].append(max(SHORTEST_PROOF_S, row.proof_s) / best)
+    end = _BEYOND * max(map(max, ratios.values()))
     for planner, style in styles(rows).items():
-        ratios = sorted(
-            max(SHORTEST_PROOF_S, row.proof_s) / best
-            for group, best in zip(groups, fastest, strict=True)
-            for row in group
-            if row.planner == planner and row.proof_s is not None and best is not None
-        )
-        xs, ys = [1.0, *ratios, 1e5], [0, *((i + 1) / counted for i in range(len(ratios))), len(ratios) / counted]
-        if ratios:
-            axis.step(xs, ys, where="post", color=style.color, linestyle=style.line)
+        xs, proven = sorted(ratios[planner]), len(ratios[planner])
+        if xs:
+            ys = [0, *((i + 1) / counted for i in range(proven)), proven / counted]
+            axis.step([1.0, *xs, end], ys, where="post", color=style.color, linestyle=style.line)
     axis.set_xscale("log")
-    axis.set_xlim(1, 1e5)
+    axis.set_xlim(1, end)
     axis.set_ylim(0, 1.02)
     axis.set_xlabel("time to proof as a multiple of the fastest planner's")
     axis.set_ylabel(f"share of {counted} instances that anyone proved")

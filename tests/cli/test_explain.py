@@ -29,6 +29,53 @@ def test_it_tells_the_input_that_nothing_feeds_and_what_comes_nearest(run: Run, 
     assert "nearest: camera/image gives Image and hasSource some Front: lacks ∃hasSource.Back" in result.out
 
 
+SHARED = """
+transformations:
+  - {label: camera, outputs: {image: Image and Front}}
+  - {label: one, inputs: {image: Image and Back}, outputs: {ball: Ball}}
+  - {label: two, inputs: {image: Image and Back}, outputs: {goal: Goal}}
+  - {label: score, inputs: {ball: Ball}, outputs: {score: Score}}
+targets:
+  - {label: a, topic: /a, tag: Ball}
+  - {label: b, topic: /b, tag: Goal}
+  - {label: c, topic: /c, tag: Score}
+  - {label: d, topic: /d, tag: Ball}
+  - {label: e, topic: /e, tag: Image}
+"""
+
+
+def test_a_fault_of_several_targets_is_told_once(run: Run, write: Callable[[str], Path]) -> None:
+    """Each target once repeated the tree of the same fault, and each input the tags that come nearest."""
+    path = write(SHARED)
+    assert run("explain", path).out.splitlines()[1:] == [
+        "targets a, d want Ball, but no transformation that offers it can run",
+        "  one: input image wants Image and Back, but no output matches",
+        "      nearest: camera/image gives Image and Front: lacks Back",
+        "target b wants Goal, but no transformation that offers it can run",
+        "  two: input image wants Image and Back, but no output matches, see above",
+        "target c wants Score, but no transformation that offers it can run",
+        "  score: input ball wants Ball, but no transformation that offers it can run",
+        "    one: see above",
+    ]
+    shared = (
+        "  targets a, d want Ball, target b wants Goal, target c wants Score, "
+        "but input image of one, input image of two need Image and Back, and no output matches"
+    )
+    assert run("solve", path).out.splitlines()[1:] == [shared]
+    assert run("solve", path, "--best-effort").out.splitlines()[-2:] == ["Given up: 4 of 5 targets.", shared]
+
+
+def test_a_tree_that_was_cut_is_not_referred_to(run: Run, write: Callable[[str], Path]) -> None:
+    """Text once could only refer to lines of its own tree, which are there."""
+    long = [f"  - {{label: s{n}, inputs: {{i: X{n}}}, outputs: {{o: X{n + 1}}}}}" for n in range(40)]
+    targets = ["  - {label: a, topic: /a, tag: X40}", "  - {label: b, topic: /b, tag: X2}"]
+    path = write("\n".join(["transformations:", *long, "targets:", *targets]))
+    told = run("explain", path).out
+    assert " more lines, all in --json\n" in told
+    assert told.count("  s1: input i wants X1, but no transformation that offers it can run\n") == 1
+    assert told.count("    s0: input i wants X0, but no output matches\n") == 1
+
+
 def test_support_that_is_only_circular_is_told_as_such(run: Run) -> None:
     result = run("explain", RING)
     assert "left: is fed only by itself, see above" in result.out

@@ -14,11 +14,16 @@ from typing import Any
 
 import pytest
 from command import MODELS, Run
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
 from warm import cold_command, command
 
 from cfgplan import extras
+from cfgplan.cli import styled
 from cfgplan.cli.interrupts import Interrupts, ended_cleanly
 from cfgplan.cli.main import _SYNONYMS, VERBS
+from cfgplan.cli.screen import _ESCAPE, Screen
 from cfgplan.planners import cpsat
 
 NAO = MODELS / "nao"
@@ -369,6 +374,36 @@ def test_what_is_read_is_not_written_over(command: tuple[object, ...], run: Run,
     assert result.code == 30
     assert "this file is read" in result.err
     assert env.read_text() == text
+
+
+@pytest.mark.parametrize("columns", ["1", "40", "80"])
+def test_a_table_is_whole_on_a_narrow_terminal(
+    columns: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Names were cut, or stood one letter below the other. No line ends with spaces, which would be wrapped."""
+    monkeypatch.setenv("COLUMNS", columns)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    table = Table("topic", "from", "seconds since the last element", box=None)
+    table.add_row("/result", "detector_with_a_long_name.1/seen", Text("12", style="dim"))
+    table.add_row("/other", "a.1/o", "")
+    for result in (table, Group(table, "end")):
+        Screen(json=False).show(result)
+        out = _ESCAPE.sub("", capsys.readouterr().out)
+        assert " topic    from                              seconds since the last element\n" in out
+        assert " /result  detector_with_a_long_name.1/seen  12\n" in out
+        assert " /other   a.1/o\n" in out
+
+
+@pytest.mark.parametrize("is_terminal", [True, False])
+def test_no_line_of_a_result_ends_with_spaces(
+    is_terminal: bool, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Lines of `ctl plan | cat` did, where a name is shorter than the others."""
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: is_terminal)
+    for result in (styled.Text("= keep  a.1   \n= keep  bc.1  "), "= keep  a.1   \n= keep  bc.1  "):
+        Screen(json=False).show(result)
+        assert _ESCAPE.sub("", capsys.readouterr().out) == "= keep  a.1\n= keep  bc.1\n"
 
 
 def test_a_png_picture_is_not_written_to_a_terminal(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,7 @@ from cfgplan.comparing import REGISTERED, Limits, RunFailure
 from cfgplan.comparing.runs import thinned
 from cfgplan.planning import Status
 from experiments.study.invariants import breaches, gap, references
-from experiments.study.plots import anytime, styles
+from experiments.study.plots import LEAST_GAP, anytime, gap_profile, performance_profile, styles
 from experiments.study.report import by_family, detail, effort, overview, ratio_to, write_report
 from experiments.study.rows import Row
 from experiments.study.runner import run
@@ -114,6 +114,17 @@ def test_a_panel_over_time_shows_curves_that_coincide_and_names_who_has_none() -
     assert panel.get_xlabel() == "without: late"
     under, over = (line.get_linewidth() for line in panel.lines)
     assert under > over
+
+
+@pytest.mark.parametrize("slowest", [1.0, 3.0, 4000.0])
+def test_the_axes_of_profiles_end_where_their_data_end(slowest: float) -> None:
+    """Their ends were fixed, and two decades of the axis were empty."""
+    pytest.importorskip("matplotlib", reason="the plots need the extra `plots`")
+    rows = [row("fast", 10, 1.0), row("slow", round(10 * slowest), slowest)]
+    for profile, largest in ((performance_profile(rows), slowest), (gap_profile(rows), max(LEAST_GAP, slowest - 1))):
+        assert profile is not None
+        (axis,) = profile.axes
+        assert largest < axis.get_xlim()[1] < 2 * largest
 
 
 @pytest.mark.xdist_group("tiny")

@@ -73,7 +73,7 @@ def robots(tmp_path: Path) -> Life:
         (Add(transformations=(worker("bad", needs="some ("),)), "input x of transformation 'bad'"),
         (LoseHost("far"), "there is no host 'far'"),
         (RegainHost("far"), "host 'far' was not taken out of service"),
-        (Withdraw("robot"), "there is no declaration 'robot'"),
+        (Withdraw("robot"), "there is no addition 'robot' (the run has none)"),
         (Declare("robot", {"transformations": [{"lable": "x"}]}), "declared by robot"),
         (Declare("robot", {"targets": [{"label": "result", "topic": "/x", "tag": "Y"}]}), "'result'"),
     ],

@@ -11,6 +11,7 @@ import pytest
 from cfgplan_runtime import Policy, SimulatedRuntime
 from cfgplan_runtime.lifecycle.changes import (
     Add,
+    FaultyCode,
     KillUnit,
     LoseHost,
     RegainHost,
@@ -18,6 +19,7 @@ from cfgplan_runtime.lifecycle.changes import (
     ReplaceWorld,
     ReviewNow,
 )
+from cfgplan_runtime.lifecycle.kinds import review_sentence
 from cfgplan_runtime.lifecycle.perturbations import (
     HorizonReached,
     SubscriptionLost,
@@ -207,6 +209,21 @@ def test_an_impossible_target_leaves_the_others_alone() -> None:
     assert review.unmet == {"impossible": "target impossible wants Z, but no output matches"}
     assert life.met == {"result"}
     assert [call for call in life.runtime.backend.calls[len(calls) :] if call[0] != "open"] == []
+
+
+def test_a_review_tells_once_why_several_targets_are_not_met() -> None:
+    """Faulty code that several targets need was told for each of them, and also where it does no harm."""
+    life = started(source(), worker(), worker("other", gives="W"), targets=(IMPOSSIBLE,))
+    why = "units.py:1:8: it imports night, which is not there"
+    life.reviewed(FaultyCode({"work": why, "other": why}))
+    others = Target("also", "W", "/also"), Target("more", "Y", "/more")
+    told = review_sentence(life.reviewed(Add(targets=(RESULT, *others))))
+    assert told.count(why) == 1
+    assert (
+        "; not met: target also wants W, targets more, result want Y, "
+        f"but need transformations that are left out for now: other, work ({why}); " in told
+    )
+    assert "; not met: target impossible wants Z, but no output matches; " in told
 
 
 def test_a_target_is_met_as_soon_as_it_can_be() -> None:

@@ -498,6 +498,17 @@ def test_what_was_learned_is_kept_from_run_to_run(
     assert list(tmp_path.glob("*.damaged"))
 
 
+@pytest.mark.parametrize("content", ['{"name": "app", "version": 1}', "[]", '{"format": "cfgplan/1"}'])
+def test_a_json_file_of_another_kind_is_not_replaced_by_estimates(
+    env: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str
+) -> None:
+    """It was taken for a damaged file of estimates, renamed, and written anew."""
+    (file := tmp_path / "package.json").write_text(content)
+    assert main(["run", str(env), "--estimates", str(file)]) == 30
+    assert f"{file}: this file has other content than estimates" in capsys.readouterr().err
+    assert file.read_text() == content
+
+
 def test_a_recorded_run_is_read_back_with_streams_and_reviews(env: Path, tmp_path: Path) -> None:
     from mcap.reader import make_reader
 
@@ -578,14 +589,18 @@ def test_metrics_are_served_while_it_runs(env: Path) -> None:
 def test_places_that_a_run_can_not_have_are_told_before_it_plans(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        assert main(["run", str(env), "--metrics-port", str(port)]) == 30
-    told = capsys.readouterr()
-    assert f"--metrics-port {port}: metrics can't be served there" in told.err
-    assert "name another port" in told.err
+        run, demo = ["run", str(env)], ["demo"]
+        metrics, page = ("--metrics-port", "metrics"), ("--page", "the page")
+        for command, (option, who) in ((run, metrics), (run, page), (demo, page)):
+            assert main([*command, option, str(port)]) == 30
+            told = capsys.readouterr()
+            assert f"{option} {port}: {who} can't be served there: Address already in use" in told.err
+            assert "name another port; 0 takes any that is free" in told.err
+            assert told.out == ""
     assert main(["run", str(env), "--record", str(env.parent / "none" / "x.mcap")]) == 30
     told_too = capsys.readouterr()
     assert "its folder does not exist" in told_too.err
-    assert told.out == told_too.out == ""
+    assert told_too.out == ""
 
 
 def test_what_fails_at_each_step_says_where_only_once(env: Path) -> None:

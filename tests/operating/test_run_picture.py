@@ -81,6 +81,16 @@ def test_it_shows_targets_units_reviews_and_the_log() -> None:
     assert "a review" not in text
 
 
+def test_a_reason_that_several_targets_share_is_told_once() -> None:
+    reasons = {label: f"target {label} wants T, but input i of x needs U, and no output matches" for label in "ab"}
+    targets = [TargetView(label, "T", f"/{label}", 0, None, why) for label, why in reasons.items()]
+    text = "\n".join(drawn(replace(SNAPSHOT, targets=tuple(targets)), width=200))
+    assert re.search(
+        r"a +/a +targets a, b want T, but input i of x needs U, and no output matches +$", text, re.MULTILINE
+    )
+    assert re.search(r"b +/b +as a +$", text, re.MULTILINE)
+
+
 @pytest.mark.parametrize("width", [60, 80, 120, 300])
 @pytest.mark.parametrize("height", [16, 24, 40, 100])
 @pytest.mark.parametrize("faults", [(), (Fault("this is not YAML", "env.yaml", 3),)])

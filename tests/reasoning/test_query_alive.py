@@ -194,7 +194,7 @@ def test_what_a_run_can_not_decide_is_named_to_whoever_asks_for_it(
             assert main(["ctl", "add", str(more)]) == 12
             told = capsys.readouterr().out
             assert "no decision: it is not decided whether there is a plan" in told
-            assert f"t is not met: target t {why}" in told
+            assert f"not met: target t {why}" in told
             assert "it is undecided whether C is W: if so, a better update may exist" in told
             assert "in time" not in told
             assert main(["ctl", "state"]) == 12
@@ -205,3 +205,25 @@ def test_what_a_run_can_not_decide_is_named_to_whoever_asks_for_it(
             assert review.unmet["v"] == f"target v {why}"
             assert (review.undecided, review.is_proven) == ((("C", "W"),), False)
             assert units(manager) == set()
+
+
+@pytest.mark.usefixtures("runs")
+@pytest.mark.parametrize(
+    ("source", "why"),
+    [
+        ("", "cam (it has no unit code: add `source: package.module:Class` or `source: units.py:Class`)"),
+        (", source: 'units.py:camra'", "env.yaml:2:57: cam can't be started: units.py: units.py has no camra"),
+    ],
+)
+def test_a_target_of_the_file_that_no_unit_can_meet_ends_the_query(
+    source: str, why: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A query once waited for its stream without end, or until `--for`."""
+    (tmp_path / "units.py").write_text("def camera(): yield 1\n")
+    env = tmp_path / "env.yaml"
+    library = f"transformations: [{{label: cam, outputs: {{o: X}}{source}}}]"
+    env.write_text(f"format: cfgplan/1\n{library}\ntargets: [{{label: t, topic: /t, tag: X}}]\n")
+    assert main(["query", str(env), "eventually t > 3"]) == 10
+    told = capsys.readouterr().err
+    assert "error: target t wants X, but needs transformations that are left out for now: cam" in told
+    assert why in told

@@ -148,6 +148,20 @@ def test_a_fault_is_told_with_its_line_and_its_mend(tmp_path: Path, code: str, o
     assert found.startswith(says) if says else not found
 
 
+@pytest.mark.parametrize("source", ["program:./tool", "program:./none", "units.py:camera", "none.py:camera"])
+def test_a_fault_is_the_same_from_wherever_its_folder_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, source: str
+) -> None:
+    """A run in the folder of its file told a program's fault twice, with two names of the file."""
+    (tmp_path / "tool").write_text("#!/bin/sh\n")
+    (tmp_path / "units.py").write_text("def camra(): pass\n")
+    (tmp_path / "linked").symlink_to(tmp_path, target_is_directory=True)
+    monkeypatch.chdir(tmp_path)
+    whole = source_fault(transformation(source), tmp_path)
+    assert whole is not None
+    assert {source_fault(transformation(source), folder) for folder in (Path(), Path("linked"))} == {whole}
+
+
 def test_no_code_is_run(tmp_path: Path) -> None:
     (tmp_path / "loud").mkdir()
     (tmp_path / "loud" / "__init__.py").write_text("raise RuntimeError('was imported')\n")

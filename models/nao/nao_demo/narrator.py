@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ from rich.text import Text
 
 from cfgplan import __version__, api
 from cfgplan.cli.interrupts import Interrupts
-from cfgplan.cli.screen import OUTPUT_VERSION, Screen
+from cfgplan.cli.screen import Screen
 from nao_demo import telling
 from nao_demo.listening import Sample
 from nao_demo.page import page
@@ -71,8 +70,7 @@ class Narrator:
     def ends(self, played: Played) -> None:
         self._now.stop()
         if self._screen.json:
-            record = {"format_version": OUTPUT_VERSION, **_record(self._number, played)}
-            self._screen.write(json.dumps(record) + "\n")
+            self._screen.write_json(_record(self._number, played))
         else:
             self._screen.show(_said("/result", telling.seen(played) or "Nothing comes.", "cyan"))
         self._screen.flush()

@@ -47,9 +47,11 @@ def fault_of(check: Callable[[], object], folder: Path) -> Fault | None:
         check()
     except InputError as error:
         fault = error.faults[0]
-        file = None if fault.file is None else Path(fault.file)
-        is_inside = file is not None and file.is_relative_to(folder)
-        return replace(fault, file=str(file.relative_to(folder))) if file is not None and is_inside else fault
+        if fault.file is None:
+            return fault
+        file = Path(fault.file)  # programs and nodes tell their own with all of its path
+        base = next((base for base in (folder, folder.resolve()) if file.is_relative_to(base)), None)
+        return fault if base is None else replace(fault, file=str(file.relative_to(base)))
     return None
 
 

@@ -13,7 +13,8 @@ from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.estimating.estimator import LearningEstimator
 from cfgplan_runtime.estimating.evidence import Evidence
 
-ESTIMATES_FORMAT = "cfgplan-estimates/1"
+_KIND = "cfgplan-estimates/"
+ESTIMATES_FORMAT = f"{_KIND}1"
 
 
 class EstimatesError(RuntimeFaultError):
@@ -39,6 +40,18 @@ def default_file(environment_file: Path) -> Path:
     path = environment_file.resolve()
     digest = hashlib.sha256(os.fsencode(path)).hexdigest()[:12]
     return folder / "cfgplan" / "estimates" / f"{path.stem}-{digest}.json"
+
+
+def has_other_content(path: Path) -> bool:
+    """Return whether a file is JSON of another kind, such as one that the user has named by mistake.
+
+    A damaged file is not: it may have been one of estimates.
+    """
+    try:
+        content = msgspec.json.decode(path.read_bytes())
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        return False
+    return not (isinstance(content, dict) and str(content.get("format")).startswith(_KIND))
 
 
 def save(estimator: LearningEstimator, path: Path, now_s: float) -> None:

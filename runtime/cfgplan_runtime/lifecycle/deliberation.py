@@ -20,7 +20,7 @@ from cfgplan.explaining.what_if import only_targets
 from cfgplan.onward import reached
 from cfgplan.planners.undecided import Deciding
 from cfgplan.planning import Failures, Feature, Measured, Pair, Plan, Planner, Problem, Progress, Status, fresh_unit_ids
-from cfgplan.reasons import LEFT_OUT, unmet_reasons
+from cfgplan.reasons import unmet_reasons
 from cfgplan.shared_states import double_owners
 from cfgplan.summary import some
 from cfgplan.validity import Rule
@@ -166,7 +166,7 @@ class Deliberation:
         try:
             asked = [_given(problem, change_set) for problem in (wanted, *(less for less, _ in _asking_less(wanted)))]
             valid = (found for found in asked if not validity.plan_violations(found.problem, found.plan))
-            judged = _judged(findings, next(valid, asked[0]), optimises=True)
+            judged = _judged(findings, next(valid, asked[0]), {}, optimises=True)
         except Exception as error:  # the judge's own fault must not end the life-cycle
             return replace(findings, cause=str(error) or type(error).__name__)
         unmet = [label for label in findings.planned.target if label not in asked[0].problem.environment.target]
@@ -280,7 +280,7 @@ class Deliberation:
         with _timed("judge", seconds):
             try:
                 found = replace(found, plan=where_spares_are(found.problem, found.plan))
-                judged = _judged(findings, found, optimises=optimises)
+                judged = _judged(findings, found, self._impossible(asked), optimises=optimises)
                 return replace(judged, warnings=(*given_up, *judged.warnings))
             except Exception as error:  # what nobody has judged is not carried out
                 return replace(findings, cause=f"the judge failed: {type(error).__name__}: {error}", error=error)
@@ -488,11 +488,11 @@ def _exchanged(before: Environment, plan: Plan, new: ComputationUnit, spare: Com
     return replace(plan, change_set=before.change_to(units.values()), ties_proven=False)
 
 
-def _judged(findings: Findings, found: BestEffort, *, optimises: bool) -> Findings:
+def _judged(findings: Findings, found: BestEffort, impossible: Mapping[str, str], *, optimises: bool) -> Findings:
     plan, planned = found.plan, findings.planned
     # Transformations that are left out may be why a bound is missed or a cost is too large.
     left_out = f" (left out for now: {some(sorted(findings.avoided), _MOST_AVOIDED_NAMED)})" if findings.avoided else ""
-    given_up = {label: why if LEFT_OUT in why else f"{why}{left_out}" for label, why in found.given_up.items()}
+    given_up = {label: why if label in impossible else f"{why}{left_out}" for label, why in found.given_up.items()}
     asked = found.problem
     violations = validity.violations(planned, asked.similarity, asked.survive, asked.horizon_s)
     unmet_now = {violation.target for violation in violations if violation.rule is Rule.MET}

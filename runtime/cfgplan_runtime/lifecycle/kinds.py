@@ -18,7 +18,7 @@ from cfgplan.amounts import mbit, span
 from cfgplan.onward import grouped
 from cfgplan.summary import counted, some
 from cfgplan_runtime.lifecycle import perturbations, reports
-from cfgplan_runtime.lifecycle.review_sentences import TRACEBACK, decision, named, short
+from cfgplan_runtime.lifecycle.review_sentences import TRACEBACK, decision, named, short, unmet_sentences
 from cfgplan_runtime.supervision import events
 
 _FRAME = re.compile(r'^  File "[^\n]*\n(?:    [^\n]*\n)*', re.MULTILINE)
@@ -174,7 +174,7 @@ def review_sentence(review: reports.Review) -> str:
     """The decision of a review, with its causes and times."""
     parts = [f"Review {review.number}: {decision(review)}"]
     if review.unmet:
-        parts += [f"{label} is not met: {reason}" for label, reason in sorted(review.unmet.items())]
+        parts += unmet_sentences(review.unmet)
     elif review.avoided:
         labels_of = grouped((why, label) for label, why in review.avoided.items())
         parts.append(f"without {some(f'{named(labels)} ({why})' for why, labels in labels_of.items())}")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from functools import partial
 from typing import TYPE_CHECKING
 
 from cfgplan.amounts import span
 from cfgplan.domain import ChangeSet
+from cfgplan.reasons import shared_reasons
 from cfgplan.summary import some
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.lifecycle.reports import Decision, Review, Snapshot
@@ -14,7 +16,8 @@ from cfgplan_runtime.lifecycle.reports import Decision, Review, Snapshot
 if TYPE_CHECKING:
     from cfgplan_runtime.lifecycle.deliberation import Findings
 
-named = partial(some, most=4)
+MOST_NAMED = 4
+named = partial(some, most=MOST_NAMED)
 """Some names, and how many more there are."""
 TRACEBACK = "Traceback (most recent call last)"
 _OUR_ERRORS = f"{RuntimeFaultError.__module__}."
@@ -49,7 +52,7 @@ def preview_sentence(findings: Findings) -> str:
     if findings.cost_us is not None:
         before_us = findings.cost_before_us
         parts.append(f"{findings.cost_us / 1e6:.4g} s of CPU over the horizon, now {before_us / 1e6:.4g} s")
-    parts += [f"{label} is not met: {reason}" for label, reason in sorted(findings.unmet.items())]
+    parts += unmet_sentences(findings.unmet)
     return "; ".join(parts)
 
 
@@ -64,8 +67,18 @@ def supposed_sentence(findings: Findings, now: Snapshot) -> str:
         more = f"{abs(more_us) / 1e6:.3g} s {'more' if more_us > 0 else 'less'} than now" if more_us else "as now"
         parts.append(f"{findings.cost_us / 1e6:.4g} s of CPU over the horizon, {more}")
     parts.append("proven: no plan is cheaper" if findings.is_proven else "not proven to be the cheapest")
-    parts += [f"{label} would not be met: {reason}" for label, reason in sorted(findings.unmet.items())]
+    parts += unmet_sentences(findings.unmet, is_supposed=True)
     return "; ".join(parts)
+
+
+def unmet_sentences(unmet: Mapping[str, str], *, is_supposed: bool = False) -> Iterator[str]:
+    """Yield why targets are not met, or would not be, from the reasons by label; each fault is told once."""
+    for shared in shared_reasons(dict(sorted(unmet.items())), MOST_NAMED):
+        if shared.names_them:
+            yield f"{'would not be' if is_supposed else 'not'} met: {shared.text}"
+        else:
+            verb = "would not be" if is_supposed else "is not" if len(shared.labels) == 1 else "are not"
+            yield f"{named(shared.labels)} {verb} met: {shared.text}"
 
 
 _PAST, _INFINITIVES = ("adopted", "started", "rewired", "stopped"), ("adopt", "start", "rewire", "stop")

@@ -153,7 +153,7 @@ class WorldVersion:
             case changes.Declare(name):
                 return self._declaring(name, change)
             case changes.Withdraw(name):
-                _check_known("declaration", [name], self.declared)
+                _check_known("addition", [name], self.declared)
                 return replace(self, declared=_without(self.declared, [name]))
             case changes.Restore(names):
                 _check_known("removed name", names, dict.fromkeys(self.removed))
@@ -208,8 +208,8 @@ def _without(known: Mapping[str, T], names: Iterable[str]) -> Mapping[str, T]:
     return {name: value for name, value in known.items() if name not in gone}
 
 
-def _choice(names: Mapping[str, object]) -> str | None:
-    return f"choose one of {some(sorted(names), 8)}" if names else None
+def _choice(names: Mapping[str, object]) -> str:
+    return f"choose one of {some(sorted(names), 8)}" if names else "the run has none"
 
 
 def _check_known(what: str, names: Iterable[str], known: Mapping[str, object]) -> None:

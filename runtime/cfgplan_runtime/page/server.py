@@ -103,7 +103,7 @@ class PageServer:
         except (OSError, OverflowError) as error:
             self._socket.close()
             why = getattr(error, "strerror", None) or error
-            mend = "name another port by --port"
+            mend = "name another port; 0 takes any that is free"
             raise InputError.of(f"{address}:{port} can't be served: {why}", mend=mend) from None
         self.watched = Watched(reach, subscribe)
         try:

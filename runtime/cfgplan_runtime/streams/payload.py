@@ -59,7 +59,8 @@ class PayloadEncoder:
             return msgspec.msgpack.Ext(_ARRAY, meta)
         if numpy is not None and isinstance(value, numpy.generic):
             return value.item()
-        raise TypeError(f"{type(value).__name__} is neither a msgpack type nor a numpy array")
+        mend = "send numbers, texts, bytes, lists, mappings or numpy arrays"
+        raise TypeError(f"{type(value).__name__} is neither a msgpack type nor a numpy array; {mend}")
 
     def _append(self, data: Buffer) -> None:
         self._arrays.append(data)
