@@ -19,7 +19,7 @@ from cfgplan_runtime.streams.channel import socket_pair
 from cfgplan_runtime.streams.element import Element, Outgoing
 from cfgplan_runtime.streams.inlet import InputQueue
 from cfgplan_runtime.streams.payload import PayloadEncoder, decode
-from cfgplan_runtime.supervision import events, updates, wiring
+from cfgplan_runtime.supervision import commands, events, updates, wiring
 from cfgplan_runtime.supervision.backend import Inlet
 
 from cfgplan.domain import ChangeSet, Environment, Stream, Transformation
@@ -100,7 +100,7 @@ class Topics(_Child):
 
 
 class House:
-    """The `updates.Actual` of units in this process. `draw(n)` returns a number below n."""
+    """The `progress.Actual` of units in this process. `draw(n)` returns a number below n."""
 
     def __init__(self, library: Sequence[Transformation], cameras: Sequence[str], draw: Callable[[int], int]) -> None:
         self.environment = Environment(library=tuple(library))
@@ -116,7 +116,7 @@ class House:
         """The patience of each wait in vain, in seconds."""
         self.wiring = wiring.Wiring(self)  # type: ignore[arg-type]
         self.units: dict[str, Unit] = {}
-        self.doomed: dict[str, type[updates.Command]] = {}
+        self.doomed: dict[str, type[commands.Command]] = {}
         """Units that die when they get such a command."""
         self.time_ns = 0
         self.cameras = {f"{label}.1": Camera(self._tick) for label in cameras}
@@ -159,10 +159,10 @@ class House:
     def apply(self, change_set: ChangeSet) -> updates.CarriedOut:
         """Raises ApplyError if it was undone."""
         after = updates.environment_after(self.environment, change_set)
-        commands = updates.carry_out(self, change_set, after, updates.Patience())  # type: ignore[arg-type]
+        update = updates.carry_out(self, change_set, after, updates.Patience())  # type: ignore[arg-type]
         try:
             while True:
-                self._obey(next(commands))
+                self._obey(next(update))
         except StopIteration as end:
             self.environment = end.value.environment
             carried: updates.CarriedOut = end.value
@@ -170,60 +170,60 @@ class House:
         finally:
             self.wiring.settle()
 
-    def _obey(self, command: updates.Command) -> None:
+    def _obey(self, command: commands.Command) -> None:
         tell = self._tell
         unit_id = getattr(command, "unit", "")
         if isinstance(unit_id, str) and isinstance(command, self.doomed.get(unit_id, ())):
             self.kill(unit_id)
         match command:
-            case updates.OpenTopic(topic):
+            case commands.OpenTopic(topic):
                 self.topics[topic] = None
                 self.outlets.open(topic)
-            case updates.StartUnit(unit, transformation):
+            case commands.StartUnit(unit, transformation):
                 self.alive.add(unit.id)
                 self.inactive.add(unit.id)
                 if unit.id not in self.cameras:
                     self.units[unit.id] = Unit(
                         unit.id, transformation, self._states.get(transformation.state_name or "")
                     )
-            case updates.ActivateUnit(unit):
+            case commands.ActivateUnit(unit):
                 self.inactive.discard(unit)
                 tell(unit, messages.Activate())
-            case updates.DeactivateUnit(unit):
+            case commands.DeactivateUnit(unit):
                 self.inactive.add(unit)
                 tell(unit, messages.Deactivate())
-            case updates.HoldUnit(unit):
+            case commands.HoldUnit(unit):
                 tell(unit, messages.HoldSteps())
-            case updates.AskPlaces(unit, begun):
+            case commands.AskPlaces(unit, begun):
                 self._answers.pop(unit, None)
                 tell(unit, messages.TellPlaces(list(begun)))
-            case updates.AskState(unit, until):
+            case commands.AskState(unit, until):
                 self._answers.pop(unit, None)
                 tell(unit, messages.TellState(dict(until)))
-            case updates.GiveState(unit):
+            case commands.GiveState(unit):
                 self.go_on(self._draw(30))
                 given = msgspec.structs.asdict(command)
                 del given["unit"]
                 tell(unit, messages.TakeState(**given))
-            case updates.TellOf(event):
+            case commands.TellOf(event):
                 self.inexact.append(event)
-            case updates.StopUnit(unit):
+            case commands.StopUnit(unit):
                 self.wiring.forget_inputs(unit)
                 tell(unit, messages.Finish())
-            case updates.EndUnit(unit) | updates.CutShort(unit):
+            case commands.EndUnit(unit) | commands.CutShort(unit):
                 self.kill(unit)
-            case updates.Connect(stream, inlet):
+            case commands.Connect(stream, inlet):
                 self.wiring.connect(stream, inlet, self.environment.transformation.get(inlet.unit.partition(".")[0]))
-            case updates.Disconnect(inlet):
+            case commands.Disconnect(inlet):
                 self.wiring.disconnect(inlet)
-            case updates.SwitchNow(inlet):
+            case commands.SwitchNow(inlet):
                 self._tell(inlet.unit, messages.SwitchNow(inlet.port))
-            case updates.SetEnvironment(environment):
+            case commands.SetEnvironment(environment):
                 self.environment = environment
-            case updates.WaitUntil(holds):
+            case commands.WaitUntil(holds):
                 if command.patience_s > 0 and not self.wait(holds):
                     self.timed_out.append(command.patience_s)
-            case updates.Commit() | updates.StopAgain() | updates.Dump() | updates.CloseTopic():
+            case commands.Commit() | commands.StopAgain() | commands.Dump() | commands.CloseTopic():
                 pass
 
     def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:

@@ -10,7 +10,7 @@ from random import Random
 
 import pytest
 from cfgplan_runtime.errors import ApplyError
-from cfgplan_runtime.supervision.updates import ActivateUnit, GiveState
+from cfgplan_runtime.supervision.commands import ActivateUnit, GiveState
 from one_process import House, slow_clock
 from world import start, unit, worker
 

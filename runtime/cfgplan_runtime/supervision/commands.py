@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Generator, Mapping
+from typing import TypeAlias
 
 import msgspec
 
@@ -155,3 +156,6 @@ class WaitUntil(Command, frozen=True):
 
     holds: Callable[[], bool]
     patience_s: float
+
+
+Commands: TypeAlias = Generator[Command, None, None]

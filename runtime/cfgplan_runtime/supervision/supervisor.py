@@ -50,7 +50,7 @@ If it does not yet, it wakes the backend as soon as it does.
 class Supervisor:
     """Holds the running configuration in `environment`, which `backend` runs; `report` gets every event, in order.
 
-    Raises InvalidValueError if the backend lacks a method. The update under way reads it as `updates.Actual`; only the
+    Raises InvalidValueError if the backend lacks a method. The update under way reads it as `progress.Actual`; only the
     supervisor changes it.
     """
 
