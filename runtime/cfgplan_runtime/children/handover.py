@@ -2,12 +2,12 @@
 
 The next unit keeps the elements that it receives, and says from which moment on it receives all. The old unit
 continues. Once it has received the element of that moment, it tells its state between two steps, with the place of
-that state in each input, and pauses. The next unit begins there.
+that state in each input, and pauses. The next unit begins there. Only the supervisor ends a pause or a wait, or the
+agent of a fleet whose manager is gone.
 """
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from collections.abc import Collection, Mapping
 from itertools import chain
@@ -20,12 +20,6 @@ from cfgplan_runtime.streams.channel import MOST_WAITING_BYTES
 from cfgplan_runtime.streams.element import Element, Moment
 from cfgplan_runtime.streams.inlet import port_of
 
-_MOST_HELD_NS = 5_000_000_000
-"""Nanoseconds after which a unit that waits for a state keeps few elements, and a unit that has sent its state
-continues: the supervisor may be gone. The next supervisor undoes the hand-over.
-"""
-NEVER_NS = 1 << 63
-"""A time that never comes."""
 _MOST_HELD = 4096
 """The most elements that an inlet keeps: four seconds at 1,000 Hz."""
 _MOST_GIVEN_BYTES = LONGEST_MESSAGE // 2
@@ -48,19 +42,16 @@ class Handover:
         self._most: float = _MOST_HELD
         self.is_waiting = False
         """Whether the unit waits for its state; no step begins before it comes."""
-        self._late_ns = 0
-        """The time from which on a waiting unit keeps few elements."""
         self._begun: Collection[str] | None = None
         """The inlets that must have received an element before the places are told; None if nobody asks."""
         self._asked: Mapping[str, Moment] | None = None
         """The elements after which the state is told, by inlet; None if nobody asks."""
-        self._paused_until_ns = 0
-        """The time until which a unit that has told its state makes no step; 0 if it has told none."""
+        self._is_paused = False
+        """Whether the unit has told its state: the next unit makes the steps from there on."""
 
     def hold(self) -> None:
         """Keep the elements that come before the state."""
         self._held, self._most, self.is_waiting = {}, _MOST_HELD, True
-        self._late_ns = time.monotonic_ns() + _MOST_HELD_NS
 
     @property
     def is_keeping(self) -> bool:
@@ -68,28 +59,16 @@ class Handover:
         return self._held is not None
 
     @property
-    def _is_late(self) -> bool:
-        return self.is_waiting and time.monotonic_ns() >= self._late_ns
-
-    @property
     def is_still(self) -> bool:
         """Whether no step may begin: the unit waits for a state, or has told its own."""
-        return self.is_waiting or (self._paused_until_ns != 0 and self.pause_ns > 0)
-
-    @property
-    def pause_ns(self) -> int:
-        """The nanoseconds for which a unit that has told its state still makes no step."""
-        return self._paused_until_ns and max(0, self._paused_until_ns - time.monotonic_ns())
+        return self.is_waiting or self._is_paused
 
     def keep(self, inlet: str, element: Element, *, may_drop: bool) -> None:
-        """Keep an element for later steps. Without room the oldest of its inlet is dropped, if it `may_drop`.
-
-        A unit whose state is late always drops: it must not block sources that also feed the unit that it replaces.
-        """
+        """Keep an element for later steps. Without room the oldest of its inlet is dropped, if it `may_drop`."""
         assert self._held is not None
-        kept, is_late = self._held.setdefault(inlet, deque()), self._is_late
+        kept = self._held.setdefault(inlet, deque())
         kept.append(element)
-        while (may_drop or is_late) and len(kept) > (self._limit if is_late else self._most):
+        while may_drop and len(kept) > self._most:
             kept.popleft()
             self._steps.dropped[port_of(inlet)] += 1
 
@@ -101,7 +80,7 @@ class Handover:
         use them yet.
         """
         kept = deque[Element]() if self._held is None else self._held.get(inlet, deque())
-        if self._is_late or self._needs(inlet):
+        if self._needs(inlet):
             return False
         if self.is_still:
             return len(kept) >= _MOST_HELD or (bool(kept) and len(kept) * len(kept[-1].payload) > MOST_WAITING_BYTES)
@@ -180,12 +159,7 @@ class Handover:
 
     def stay(self) -> None:
         """Continue with the unit's own state: it is not replaced after all."""
-        self._asked, self._paused_until_ns = None, 0
-
-    def end(self) -> None:
-        """If the state was told, make no further step: the next unit makes the steps that wait."""
-        if self._paused_until_ns:
-            self._paused_until_ns = NEVER_NS
+        self._asked, self._is_paused = None, False
 
     def _limit_bytes(self, inputs: Mapping[str, GivenInput]) -> None:
         """Drop the oldest given elements that are too many for a message, of the inlet that has the most bytes."""
@@ -215,7 +189,7 @@ class Handover:
         self._limit_bytes(inputs)
         self._ports.say(StateTold(state, inputs, dict(outputs)))
         if state is not None:
-            self._paused_until_ns = time.monotonic_ns() + _MOST_HELD_NS
+            self._is_paused = True
             self._held, self._most = self._held or {}, _MOST_HELD
             for name in self._ports.outputs:
                 self._ports.pause(name)

@@ -13,7 +13,7 @@ from cfgplan.rows import ALL
 from cfgplan_runtime.children import messages
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.failures import Failures
-from cfgplan_runtime.children.handover import NEVER_NS, Handover
+from cfgplan_runtime.children.handover import Handover
 from cfgplan_runtime.children.ports import Ports, UnitInput, UnitOutput
 from cfgplan_runtime.children.program import ProgramCode
 from cfgplan_runtime.children.program_source import names_program
@@ -29,6 +29,8 @@ from cfgplan_runtime.streams.said_qualities import SaidQualities
 _LONGEST_WORK_NS = 1_000_000
 """Nanoseconds of back-to-back steps after which sockets are looked at again."""
 _BLOCKED_NS = 500_000_000
+_NEVER_NS = 1 << 63
+"""A time that never comes."""
 _LATEST_TICK_NS = 100_000_000
 """A source that is later than this skips ticks instead of catching up."""
 
@@ -91,8 +93,8 @@ class UnitChild:
         than that of the unit that it replaces.
         """
         self._is_exhausted = self._is_finishing = self._is_interrupted = self._is_closing = False
-        self._since_ns = NEVER_NS
-        """When the present call of unit code began; NEVER_NS while it is not called."""
+        self._since_ns = _NEVER_NS
+        """When the present call of unit code began; _NEVER_NS while it is not called."""
         self._raised: Exception | None = None
         """The last exception of a source that has given nothing since; the cause if the source then ends."""
         self._tick_ns = 0
@@ -189,7 +191,7 @@ class UnitChild:
             self._exhaust()
 
     def _close_code(self) -> None:
-        self._since_ns, self._is_closing = NEVER_NS, True
+        self._since_ns, self._is_closing = _NEVER_NS, True
         if self._program is not None:
             self._ports.ends.unwatch(self._program.end)
             self._ports.ends.unwatch(self._program.input)
@@ -227,7 +229,6 @@ class UnitChild:
                 self._handover.stay()
             case messages.Finish():
                 self._ports.drain()
-                self._handover.end()
                 self._is_finishing = True
 
     @property
@@ -281,8 +282,6 @@ class UnitChild:
                 return 0.0
             if self._may_tick:
                 until = min(until, self._tick_ns)
-            elif pause_ns := self._handover.pause_ns:
-                until = min(until, now + pause_ns)
         return max(0.0, (until - now) / 1e9)
 
     def _work(self) -> None:
@@ -306,7 +305,7 @@ class UnitChild:
         self._answer()
         if self._may_rest:
             self._rest()
-        self._since_ns = NEVER_NS
+        self._since_ns = _NEVER_NS
         if self._program is not None:
             self._program.flush()
         self._ports.resume()

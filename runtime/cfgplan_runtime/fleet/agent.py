@@ -11,6 +11,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
+from math import inf
 from pathlib import Path
 from typing import Literal
 
@@ -39,6 +40,8 @@ from cfgplan_runtime.supervision.backend import Inlet
 
 USAGE_PERIOD_S = 0.5
 _MOST_SUPERSEDED = 16
+_SILENCE_S = 5.0
+"""Seconds without a message of the manager after which the hand-overs of states that it has left are undone."""
 LINK_S = 2.0
 """Seconds that a starting agent waits for its first link."""
 
@@ -101,6 +104,8 @@ class Agent:
         self._lost = 0
         """Elements that had not reached other hosts when their crossings ended, not yet reported to the manager."""
         self._orders: deque[orders.Order] = deque()
+        self._heard_s = inf
+        """When the last message of the obeyed manager came; infinite once the hand-overs that it left are undone."""
         self._managers = Lives()
         self._is_left = False
         """Whether the present manager has ended its run. Its key may stay alive for a moment."""
@@ -221,6 +226,7 @@ class Agent:
                 self._obey(self._orders.popleft())
         self._stop_due()
         now_s = time.monotonic()
+        self._undo_handovers(now_s)
         self._tell_superseded(now_s)
         if self._validity is not None and (ends := self._validity.warning()) is not None:
             self._tell_user(ending(ends))
@@ -267,6 +273,7 @@ class Agent:
             return
         if channel is not self._channel:
             self._enter(channel)
+        self._heard_s = time.monotonic()
         self._orders += heard
         self._is_left = self._is_left or any(isinstance(order, orders.LeaveOrder) for order in heard)
 
@@ -418,6 +425,19 @@ class Agent:
     def _note_handover(self, unit: str, part: Literal["waits", "has it", "is asked"], successor: str = "") -> None:
         if unit in self._held.units:
             self._held.units[unit].handover, self._held.units[unit].successor = part, successor
+
+    def _undo_handovers(self, now_s: float) -> None:
+        """If the manager is silent, let the units continue that pause since they have told it their state, and end the
+        new units that wait for one. A manager acknowledges each report of usage, also while it waits for units.
+        """
+        if now_s - self._heard_s < _SILENCE_S:
+            return
+        self._heard_s = inf
+        for unit, held in self._held.units.items():
+            if held.handover == "is asked" and held.stop is None:
+                self._backend.give_state(unit, None, {}, {})
+            elif held.handover == "waits":
+                self._backend.kill(unit)
 
     def _hold_wire(self, order: orders.ConnectOrder) -> None:
         held = self._held
