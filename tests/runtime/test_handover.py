@@ -90,6 +90,21 @@ def test_the_steps_of_two_units_are_those_of_one(seed: int, start: str, loose: s
     assert steps + made(following) + fed(following, arrivals[last:]) == whole
 
 
+@pytest.mark.parametrize("queue", [1, 40])
+@pytest.mark.parametrize("is_next", [True, False], ids=["the next unit", "the unit before"])
+def test_large_elements_that_come_in_a_hand_over_are_bounded_in_bytes(*, is_next: bool, queue: int) -> None:
+    """Images: their number alone would allow gigabytes. As many as may wait otherwise are kept in any case."""
+    high, _ = modes("Tally", run=RunOptions(queue=queue))
+    with child_of(high) as child:
+        child._obey(Activate(), [])
+        child._obey(HoldSteps() if is_next else TellState({}), [])
+        child._work()
+        for number in range(50):
+            child._ports.inputs["x"].take(Element(number, 0, number, bytes(1 << 20)))
+        room = max(queue, 32)
+        assert (child._handover.waiting("x"), child._steps.dropped) == (room, {"x": 50 - room})
+
+
 @pytest.mark.parametrize("is_next", [True, False], ids=["the next unit", "the unit before"])
 def test_no_step_begins_in_a_hand_over_however_long_the_update_takes(
     monkeypatch: pytest.MonkeyPatch, *, is_next: bool

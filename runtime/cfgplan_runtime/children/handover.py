@@ -9,7 +9,7 @@ agent of a fleet whose manager is gone.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from itertools import chain
 
 from cfgplan_runtime.children.control import LONGEST_MESSAGE
@@ -21,13 +21,33 @@ from cfgplan_runtime.streams.element import Element, Moment
 from cfgplan_runtime.streams.inlet import port_of
 
 _MOST_HELD = 4096
-"""The most elements that an inlet keeps: four seconds at 1,000 Hz."""
+"""The most elements that an inlet keeps: four seconds at 1,000 Hz. Beyond the unit's `queue`, they also have at most
+MOST_WAITING_BYTES.
+"""
 _MOST_GIVEN_BYTES = LONGEST_MESSAGE // 2
 """The most bytes of elements that the next unit is given."""
 _LESS_ROOM = 0.1
 """For each kept element that goes to the steps, so many fewer may be kept: units that are at work for up to nine tenths
 of the time drop none.
 """
+
+
+class _Kept:
+    """The elements that an inlet keeps, the oldest first."""
+
+    def __init__(self, elements: Iterable[Element] = ()) -> None:
+        self.elements = deque(elements)
+        self.bytes = sum(len(one.payload) for one in self.elements)
+
+    def append(self, element: Element) -> None:
+        self.elements.append(element)
+        self.bytes += len(element.payload)
+
+    def take(self) -> Element:
+        """Remove and return the oldest element."""
+        element = self.elements.popleft()
+        self.bytes -= len(element.payload)
+        return element
 
 
 class Handover:
@@ -37,7 +57,7 @@ class Handover:
         self._steps = steps
         self._ports = ports
         self._limit = queue
-        self._held: dict[str, deque[Element]] | None = None
+        self._held: dict[str, _Kept] | None = None
         """By inlet the elements that the steps have not got yet; None if they get each at once."""
         self._most: float = _MOST_HELD
         self.is_waiting = False
@@ -66,11 +86,15 @@ class Handover:
     def keep(self, inlet: str, element: Element, *, may_drop: bool) -> None:
         """Keep an element for later steps. Without room the oldest of its inlet is dropped, if it `may_drop`."""
         assert self._held is not None
-        kept = self._held.setdefault(inlet, deque())
+        kept = self._held.setdefault(inlet, _Kept())
         kept.append(element)
-        while may_drop and len(kept) > self._most:
-            kept.popleft()
+        while may_drop and self._are_too_many(kept, len(kept.elements)):
+            kept.take()
             self._steps.dropped[port_of(inlet)] += 1
+
+    def _are_too_many(self, kept: _Kept, number: int) -> bool:
+        """Whether an inlet has no room for this number of elements."""
+        return number > self._most or (number > self._limit and kept.bytes > MOST_WAITING_BYTES)
 
     def is_full(self, inlet: str) -> bool:
         """Whether an inlet keeps as many elements as may wait for its steps.
@@ -79,18 +103,16 @@ class Handover:
         not wait. A unit that is asked for its state has room for the elements that the state needs, even if no step can
         use them yet.
         """
-        kept = deque[Element]() if self._held is None else self._held.get(inlet, deque())
         if self._needs(inlet):
             return False
+        kept = None if self._held is None else self._held.get(inlet)
         if self.is_still:
-            return len(kept) >= _MOST_HELD or (bool(kept) and len(kept) * len(kept[-1].payload) > MOST_WAITING_BYTES)
-        return self._steps.is_full(inlet) or len(kept) >= self._limit
+            return kept is not None and self._are_too_many(kept, len(kept.elements) + 1)
+        return self._steps.is_full(inlet) or (kept is not None and len(kept.elements) >= self._limit)
 
     def waiting(self, port: str) -> int:
         """The number of elements that a port keeps."""
-        if self._held is None:
-            return 0
-        return sum(len(kept) for inlet, kept in self._held.items() if port_of(inlet) == port)
+        return sum(len(kept.elements) for inlet, kept in (self._held or {}).items() if port_of(inlet) == port)
 
     def begin(self, inputs: Mapping[str, GivenInput]) -> None:
         """Begin a waiting unit's steps at the place of each inlet in `inputs`, else with the elements that came."""
@@ -101,7 +123,8 @@ class Handover:
                 before = [Element(one.time_ns, one.turn, 0, one.payload) for one in given.elements]
                 received = self._ports.inputs[inlet].inlet
                 received.last = max(received.last, given.done, *(one.moment for one in before))
-                held[inlet] = deque(self._steps.begin_at(inlet, given.done, chain(before, held.get(inlet, ()))))
+                kept = held.get(inlet, _Kept()).elements
+                held[inlet] = _Kept(self._steps.begin_at(inlet, given.done, chain(before, kept)))
         self._held = held
 
     def refill(self) -> None:
@@ -111,12 +134,13 @@ class Handover:
         """
         if self._held is None or self.is_still:
             return
-        self._most = min(self._most, 2 * max(map(len, self._held.values()), default=0) + self._limit)
+        longest = max((len(kept.elements) for kept in self._held.values()), default=0)
+        self._most = min(self._most, 2 * longest + self._limit)
         for inlet, kept in self._held.items():
-            while kept and not self._steps.is_full(inlet):
-                self._steps.put(inlet, kept.popleft(), may_drop=False)
+            while kept.elements and not self._steps.is_full(inlet):
+                self._steps.put(inlet, kept.take(), may_drop=False)
                 self._most = max(self._limit, self._most - _LESS_ROOM)
-        if not any(self._held.values()):
+        if not any(kept.elements for kept in self._held.values()):
             self._held = None
 
     def ask_places(self, begun: Collection[str]) -> None:
@@ -130,7 +154,7 @@ class Handover:
         found = dict[str, Moment]()
         for name, port in self._ports.inputs.items():
             for receiver in port.receivers.values():
-                kept = (self._held or {}).get(name)
+                kept = (self._held or {}).get(name, _Kept()).elements
                 place = receiver.place if name not in self._begun else kept[0].moment if kept else None
                 if place is None:
                     return None
@@ -181,8 +205,8 @@ class Handover:
         assert self._asked is not None
         asked, self._asked = self._asked, None
         for inlet, kept in (self._held or {}).items():  # they are part of what is given, even if they have no room
-            while kept:
-                self._steps.put(inlet, kept.popleft(), may_drop=False)
+            while kept.elements:
+                self._steps.put(inlet, kept.take(), may_drop=False)
         inputs = {
             name: self._steps.given(name, port.inlet.last, asked.get(name)) for name, port in self._ports.inputs.items()
         }
