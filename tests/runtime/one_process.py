@@ -21,6 +21,7 @@ from cfgplan_runtime.streams.inlet import InputQueue
 from cfgplan_runtime.streams.payload import PayloadEncoder, decode
 from cfgplan_runtime.supervision import commands, events, updates, wiring
 from cfgplan_runtime.supervision.backend import Inlet
+from cfgplan_runtime.supervision.handover_answers import HandoverAnswers
 
 from cfgplan.domain import ChangeSet, Environment, Stream, Transformation
 
@@ -118,10 +119,12 @@ class House:
         self.units: dict[str, Unit] = {}
         self.doomed: dict[str, type[commands.Command]] = {}
         """Units that die when they get such a command."""
+        self.blocked: set[str] = set()
+        """Cameras whose code blocks: they hear nothing."""
         self.time_ns = 0
         self.cameras = {f"{label}.1": Camera(self._tick) for label in cameras}
         self.outlets = Topics()
-        self._answers: dict[str, Any] = {}
+        self.answers = HandoverAnswers()
         self._states: dict[str, bytes] = {}
         self._draw = draw
         self._is_quiet = False
@@ -138,9 +141,6 @@ class House:
 
     def stop_s(self, unit: str) -> float | None:  # noqa: ARG002
         return None
-
-    def answer(self, unit: str) -> Any:
-        return self._answers.get(unit)
 
     def failure(self, unit: str) -> str | None:  # noqa: ARG002
         return None
@@ -194,11 +194,11 @@ class House:
                 tell(unit, messages.Deactivate())
             case commands.HoldUnit(unit):
                 tell(unit, messages.HoldSteps())
-            case commands.AskPlaces(unit, begun):
-                self._answers.pop(unit, None)
-                tell(unit, messages.TellPlaces(list(begun)))
+            case commands.AskPlaces(unit, inlets):
+                self.answers.ask(command)
+                tell(unit, messages.TellPlaces(dict(inlets)))
             case commands.AskState(unit, until):
-                self._answers.pop(unit, None)
+                self.answers.ask(command)
                 tell(unit, messages.TellState(dict(until)))
             case commands.GiveState(unit):
                 self.go_on(self._draw(30))
@@ -207,6 +207,8 @@ class House:
                 tell(unit, messages.TakeState(**given))
             case commands.TellOf(event):
                 self.inexact.append(event)
+            case commands.Doubt():
+                self.answers.doubt(command)
             case commands.StopUnit(unit):
                 self.wiring.forget_inputs(unit)
                 tell(unit, messages.Finish())
@@ -272,6 +274,8 @@ class House:
         """Let one process go on."""
         processes = [*self.units.items(), *self.cameras.items(), ("", self.outlets)]
         name, process = processes[self._draw(len(processes))]
+        if name in self.blocked:
+            return
         if isinstance(process, Camera) and not self._is_quiet and self._draw(4) == 0:
             process.give()
         process.turn()
@@ -285,9 +289,11 @@ class House:
         for message, _ in process.control.receive():
             match message:
                 case messages.Places(moments):
-                    self._answers[name] = events.PlacesTold(name, moments)
+                    self.answers.note(events.PlacesTold(name, moments))
+                    settled = self.answers.settled(name)
+                    self.inexact += [] if settled is None else [settled]
                 case messages.StateTold():
-                    self._answers[name] = events.StateTold(name, **msgspec.structs.asdict(message))
+                    self.answers.note(events.StateTold(name, **msgspec.structs.asdict(message)))
                 case messages.Switched(_, wire):
                     self.wiring.note_switch(wire)
                 case messages.Lost(_, wire):

@@ -135,6 +135,31 @@ def test_each_step_is_made_once_and_each_element_comes_once(network: str, seed: 
                     assert rises([inputs[port] for _, inputs, _ in came]) <= ({1} if is_alone else {0, 1})
 
 
+@pytest.mark.parametrize("is_lost", [False, True])
+@pytest.mark.parametrize("seed", range(6))
+def test_a_state_counts_as_not_exact_only_if_an_element_is_missing(seed: int, *, is_lost: bool) -> None:
+    """The source blocks in its code until the update is over. It may then give an element before it hears of the next
+    unit.
+    """
+    places = {"A": ONE}
+    house = House([*library(places, RunOptions(), 0)], CAMERAS, Random(seed).randrange)
+    with closing(house):
+        house.apply(start(*map(unit, house.cameras), *made(places, {"A": 0}).values()))
+        house.go_on(200)
+        house.blocked = {"cam.1"}
+        (new,) = made(places, {"A": 1}).values()
+        house.apply(ChangeSet(started=(new,), stopped=("A0.0",)))
+        assert house.timed_out[0] == 0.5
+        if is_lost:
+            house.cameras["cam.1"].give()
+        house.blocked = set()
+        house.go_on(300)
+        house.settle()
+        assert [(one.unit, one.before) for one in house.inexact] == [("A1.1", "A0.0")] * is_lost
+        numbers = [inputs["x"] for _, inputs, _ in house.outlets.came["/A"]]
+        assert rises(numbers) == ({1, 2} if is_lost else {1})
+
+
 def rises(numbers: list[int]) -> set[int]:
     assert len(numbers) > 2
     return {after - before for before, after in pairwise(numbers)}

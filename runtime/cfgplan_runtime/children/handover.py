@@ -9,7 +9,7 @@ agent of a fleet whose manager is gone.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from itertools import chain
 
 from cfgplan_runtime.children.control import LONGEST_MESSAGE
@@ -62,8 +62,8 @@ class Handover:
         self._most: float = _MOST_HELD
         self.is_waiting = False
         """Whether the unit waits for its state; no step begins before it comes."""
-        self._begun: Collection[str] | None = None
-        """The inlets that must have received an element before the places are told; None if nobody asks."""
+        self._sought: Mapping[str, bool] | None = None
+        """The inlets whose places are asked for; True: its first element is its place. None if nobody asks."""
         self._asked: Mapping[str, Moment] | None = None
         """The elements after which the state is told, by inlet; None if nobody asks."""
         self._is_paused = False
@@ -115,8 +115,13 @@ class Handover:
         return sum(len(kept.elements) for inlet, kept in (self._held or {}).items() if port_of(inlet) == port)
 
     def begin(self, inputs: Mapping[str, GivenInput]) -> None:
-        """Begin a waiting unit's steps at the place of each inlet in `inputs`, else with the elements that came."""
-        self.is_waiting, self._begun = False, None
+        """Begin a waiting unit's steps at the place of each inlet in `inputs`, else with the elements that came.
+
+        Places that are asked for are told later, too, except those of first elements, which become steps.
+        """
+        self.is_waiting = False
+        if self._sought is not None and any(self._sought.values()):
+            self._sought = None
         held = self._held or {}
         for inlet, given in inputs.items():
             if inlet in self._ports.inputs:
@@ -143,23 +148,24 @@ class Handover:
         if not any(kept.elements for kept in self._held.values()):
             self._held = None
 
-    def ask_places(self, begun: Collection[str]) -> None:
+    def ask_places(self, inlets: Mapping[str, bool]) -> None:
         """Ask for `places`."""
-        self._begun = begun
+        self._sought = inlets
 
     def places(self) -> dict[str, Moment] | None:
         """The asked places, once; None if there is no question, or one place is still unknown."""
-        if self._begun is None:
+        if self._sought is None:
             return None
         found = dict[str, Moment]()
-        for name, port in self._ports.inputs.items():
-            for receiver in port.receivers.values():
+        for name, is_first in self._sought.items():
+            port = self._ports.inputs.get(name)
+            for receiver in () if port is None else port.receivers.values():
                 kept = (self._held or {}).get(name, _Kept()).elements
-                place = receiver.place if name not in self._begun else kept[0].moment if kept else None
+                place = receiver.place if not is_first else kept[0].moment if kept else None
                 if place is None:
                     return None
                 found[name] = place
-        self._begun = None
+        self._sought = None
         return found
 
     def ask_state(self, until: Mapping[str, Moment]) -> None:

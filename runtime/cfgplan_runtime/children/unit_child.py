@@ -217,8 +217,8 @@ class UnitChild:
                 # to the state before.
                 self._results = self._next_step = None
                 self._steps.clear()
-            case messages.TellPlaces(begun):
-                self._handover.ask_places(begun)
+            case messages.TellPlaces(inlets):
+                self._handover.ask_places(inlets)
             case messages.TellState(until):
                 self._handover.ask_state(until)
             case messages.TakeState(state, inputs, outputs) if self._handover.is_waiting:

@@ -378,8 +378,8 @@ class Agent:
             case orders.HoldOrder(unit):
                 self._note_handover(unit, "waits")
                 backend.hold(unit)
-            case orders.AskPlacesOrder(unit, begun):
-                backend.ask_places(unit, begun)
+            case orders.AskPlacesOrder(unit, inlets):
+                backend.ask_places(unit, inlets)
             case orders.AskStateOrder(unit, until, successor):
                 self._note_handover(unit, "is asked", successor)
                 backend.ask_state(unit, until, successor)

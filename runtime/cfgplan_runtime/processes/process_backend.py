@@ -250,8 +250,8 @@ class ProcessBackend:
     def hold(self, unit: str) -> None:
         self._tell_unit(unit, messages.HoldSteps())
 
-    def ask_places(self, unit: str, begun: Collection[str]) -> None:
-        self._tell_unit(unit, messages.TellPlaces(list(begun)))
+    def ask_places(self, unit: str, inlets: Mapping[str, bool]) -> None:
+        self._tell_unit(unit, messages.TellPlaces(dict(inlets)))
 
     def ask_state(self, unit: str, until: Mapping[str, Moment], successor: str) -> None:  # noqa: ARG002
         self._tell_unit(unit, messages.TellState(dict(until)))

@@ -57,10 +57,10 @@ class HoldUnit(Command, frozen=True):
 
 
 class AskPlaces(Command, frozen=True):
-    """Ask a unit from which moment on its inlets get every element. Inlets in `begun` answer with their first one."""
+    """Ask a unit from which moment on these inlets get every element. If an inlet is true, that is its first one."""
 
     unit: str
-    begun: tuple[str, ...]
+    inlets: Mapping[str, bool]
 
 
 class AskState(Command, frozen=True):
@@ -89,6 +89,13 @@ class TellOf(Command, frozen=True):
     """Report an event of the update."""
 
     event: StateNotExact
+
+
+class Doubt(Command, frozen=True):
+    """Report an event once its unit has told its places, if one is later than the moment `unless` has for its inlet."""
+
+    event: StateNotExact
+    unless: Mapping[str, Moment]
 
 
 class StopUnit(Command, frozen=True):

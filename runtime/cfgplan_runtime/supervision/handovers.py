@@ -6,24 +6,26 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Generator, Set
+from collections.abc import Callable, Generator, Mapping, Set
 from dataclasses import dataclass, field
 
 from cfgplan.domain import ComputationUnit, Environment
 from cfgplan.onward import grouped, reached
 from cfgplan.ros.sources import NodeSource
 from cfgplan_runtime.children.program_source import names_program
+from cfgplan_runtime.streams.element import Moment
 from cfgplan_runtime.supervision.commands import (
     AskPlaces,
     AskState,
     Command,
     Commands,
+    Doubt,
     GiveState,
     HoldUnit,
     TellOf,
     WaitUntil,
 )
-from cfgplan_runtime.supervision.events import PlacesTold, StateNotExact, StateTold
+from cfgplan_runtime.supervision.events import StateNotExact, StateTold
 from cfgplan_runtime.supervision.progress import Progress
 
 _PLACES_S, _STATE_S = 0.5, 1.0
@@ -32,6 +34,38 @@ known state counts.
 """
 _ANSWER_S = 0.05
 """Seconds that a unit without a state has for each answer, once _STATE_S were waited in vain for others."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Handover:
+    """A new unit, the `successor`, continues from the place of the unit `before` it."""
+
+    before: str
+    successor: str
+    inlets: Mapping[str, str]
+    """The inlets of the successor, each with the inlet of the unit before it that has the same stream or else the same
+    name.
+    """
+    begun: Set[str]
+    """The inlets of the successor whose streams begin with this update: those of new units, and those that come to it
+    by another way than to the unit before it.
+    """
+
+    @classmethod
+    def of(cls, update: Progress, before: str, successor: str) -> _Handover:
+        """The hand-over between a running unit and a new one."""
+        old = {inlet.port: wire.stream for inlet, wire in update.actual.feeds.items() if inlet.unit == before}
+        of_stream = {stream: port for port, stream in old.items()}
+        new = {inlet.port: stream for inlet, stream in update.wanted.items() if inlet.unit == successor}
+        same = {port: port if old.get(port) == stream else of_stream.get(stream, port) for port, stream in new.items()}
+        places = (update.actual.environment, before), (update.after, successor)
+        ways = {(of.unit[unit].host, of.transformation[of.unit[unit].transformation].run.blocks) for of, unit in places}
+        return cls(
+            before,
+            successor,
+            {port: at for port, at in same.items() if at in old},
+            {port for port, stream in new.items() if len(ways) > 1 or stream.unit in update.fresh},
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +78,8 @@ class Handovers:
     """The units that wait for a state."""
     asked: set[str] = field(default_factory=set)
     """The units that were asked for their state."""
+    exceptions: list[TellOf | Doubt] = field(default_factory=list)
+    """The states that are not exact, or that later answers may show not to be."""
     vain_s: list[float] = field(default_factory=list)
     """The seconds of each wait in vain in hand-overs to units without a state."""
 
@@ -56,14 +92,24 @@ class Handovers:
 
     def carry_out(self) -> Generator[Command, None, set[str]]:
         """Hand over one state after the other. Returns the sources that have told theirs, and pause."""
-        update = self.update
-        paused = set[str]()
-        for unit, before in self.before.items():
-            yield from self.await_others(before, unit)
-            is_told = yield from self.hand_over_state(before, unit)
-            if is_told and not update.after.transformation[update.after.unit[unit].transformation].inputs:
+        paused, update = set[str](), self.update
+        for successor, before in self.before.items():
+            yield from self.await_others(before, successor)
+            is_told = False
+            if before in update.actual.alive:
+                is_told = yield from self.hand_over(_Handover.of(update, before, successor))
+            else:
+                self.note_exception(before, successor, f"{before} died")
+            if not is_told:
+                yield GiveState(successor)
+            elif not update.after.transformation[update.after.unit[successor].transformation].inputs:
                 paused.add(before)
+            self.held.discard(successor)
         return paused
+
+    def report(self) -> Commands:
+        """Report the states that may not be exact. If the update is undone, no unit continues from them."""
+        yield from self.exceptions
 
     def undo(self) -> Commands:
         """Let the units that were asked for their state continue with it."""
@@ -114,22 +160,30 @@ class Handovers:
                 found.setdefault(stream.unit, before)
         return found
 
-    def state_name(self, unit: str) -> str | None:
-        """The name of the state that a wanted unit keeps; None if it keeps none."""
-        after = self.update.after
-        return _state_name(after, after.unit[unit])
-
     def upstream(self, unit: str) -> list[str]:
         """A unit, and all that feed it after the update."""
         feeding = grouped((inlet.unit, stream.unit) for inlet, stream in self.update.wanted.items())
         return reached([unit], lambda one: feeding.get(one, ()))
 
-    def await_handover(self, successor: str, holds: Callable[[], bool], patience_s: float) -> Commands:
+    def has_state(self, successor: str) -> bool:
+        """Whether a new unit keeps a state."""
+        after = self.update.after
+        return _state_name(after, after.unit[successor]) is not None
+
+    def note_exception(
+        self, before: str, successor: str, cause: str, unless: Mapping[str, Moment] | None = None
+    ) -> None:
+        """Note that a new unit may not have the exact state; only units that keep one report this."""
+        if self.has_state(successor):
+            event = StateNotExact(successor, before, cause)
+            self.exceptions.append(TellOf(event) if unless is None else Doubt(event, unless))
+
+    def await_part(self, successor: str, holds: Callable[[], bool], patience_s: float) -> Commands:
         """Wait for a part of a hand-over. In all hand-overs to units without a state together, an update waits at most
         _STATE_S in vain, and then _ANSWER_S for each part: they are more exact, but nobody should notice them.
         """
-        update = self.update
-        has_state, began_s = self.state_name(successor) is not None, update.actual.now()
+        update, has_state = self.update, self.has_state(successor)
+        began_s = update.actual.now()
         if not has_state:
             patience_s = max(_ANSWER_S, min(patience_s, _STATE_S - sum(self.vain_s)))
         yield WaitUntil(lambda: holds() or bool(update.dead()), patience_s)
@@ -149,90 +203,72 @@ class Handovers:
         }
         inlets = [inlet for inlet, unit in others.items() if self.before.keys().isdisjoint(self.upstream(unit))]
         if inlets:
-            yield from self.await_handover(successor, lambda: not any(map(update.is_switching, inlets)), _PLACES_S)
+            yield from self.await_part(successor, lambda: not any(map(update.is_switching, inlets)), _PLACES_S)
 
-    def hand_over_state(self, before: str, successor: str) -> Generator[Command, None, bool]:
-        """Let a new unit, which holds its steps, begin them with the state of the unit `before` it, at its place.
+    def hand_over(self, one: _Handover) -> Generator[Command, None, bool]:
+        """Let the successor, which holds its steps, begin them with the state of the unit before it, at its place.
 
-        It waits for no element of ending units that give none. Returns whether `before` has told its place, and pauses.
-        Only units that keep a state report exceptions.
+        Returns whether that unit has told its place, and pauses.
         """
-        update = self.update
-        actual, same = update.actual, self.same_inlets(before, successor)
-        yield AskPlaces(successor, self.inlets_of_new_streams(before, successor))
-        yield from self.await_handover(
-            successor,
-            lambda: actual.answer(successor) is not None or not {before, successor} <= actual.alive,
-            _PLACES_S,
+        actual, answers, (before, successor) = (
+            self.update.actual,
+            self.update.actual.answers,
+            (one.before, one.successor),
         )
-        places = actual.answer(successor)
-        known = places.moments if isinstance(places, PlacesTold) else {}
-        idle = update.idle_units()
-        fed = {
-            inlet.port for inlet, wire in actual.feeds.items() if inlet.unit == before and wire.stream.unit not in idle
-        }
-        until = {same[name]: moment for name, moment in known.items() if same.get(name) in fed}
+        asked = self.needed(one)
+        if asked:
+            yield AskPlaces(successor, {inlet: inlet in one.begun for inlet in asked})
+            yield from self.await_part(
+                successor,
+                lambda: answers.places(successor) is not None or not {before, successor} <= actual.alive,
+                _PLACES_S,
+            )
+        places = (answers.places(successor) or {}) if asked else {}
+        needed = [name for name in self.needed(one) if name in asked]
         self.asked.add(before)
-        yield AskState(before, until, successor)
-        yield from self.await_handover(
-            successor, lambda: actual.answer(before) is not None or before not in actual.alive, _STATE_S
+        yield AskState(before, {one.inlets[name]: places[name] for name in needed if name in places}, successor)
+        yield from self.await_part(
+            successor, lambda: answers.state(before) is not None or before not in actual.alive, _STATE_S
         )
-        told = actual.answer(before)
-        cause = None
-        if not isinstance(told, StateTold):
-            cause = f"{before} did not tell its state within {_STATE_S:g} s"
-        elif not told.state:
-            cause = f"the code of {before} gives no state"
-        elif places is None:
-            cause = f"an input of {successor} got nothing within {_PLACES_S:g} s"
-        if cause is not None and self.state_name(successor) is not None:
-            yield TellOf(StateNotExact(successor, before, cause))
-        if not isinstance(told, StateTold) or told.state is None:
-            if told is None and before in actual.alive:
+        told = answers.state(before)
+        if told is None:
+            is_alive = before in actual.alive
+            cause = f"did not tell its state within {_STATE_S:g} s" if is_alive else "died before it told its state"
+            self.note_exception(before, successor, f"{before} {cause}")
+            if is_alive:
                 yield GiveState(before)  # it must not pause later: nobody else makes the steps that wait in it
-            yield GiveState(successor)
-            self.held.discard(successor)
             return False
-        inputs = {name: told.inputs[old] for name, old in same.items() if old in told.inputs}
+        if not told.state:
+            self.note_exception(before, successor, f"the code of {before} gives no state")
+            if told.state is None:
+                return False
+        elif unknown := set(needed) - places.keys():
+            cause = f"an input of {successor} got nothing within {_PLACES_S:g} s"
+            covered = {name: told.inputs[one.inlets[name]].last for name in unknown if one.inlets[name] in told.inputs}
+            self.note_exception(before, successor, cause, covered if unknown.isdisjoint(one.begun) else None)
+        yield self.given(one, told)
+        return True
+
+    def needed(self, one: _Handover) -> list[str]:
+        """The inlets of the successor whose places count, since elements come to those of the unit before it. None
+        comes from ending units that give none.
+        """
+        idle, feeds = self.update.idle_units(), self.update.actual.feeds
+        fed = {inlet.port for inlet, wire in feeds.items() if inlet.unit == one.before and wire.stream.unit not in idle}
+        return [name for name, old in one.inlets.items() if old in fed]
+
+    def given(self, one: _Handover, told: StateTold) -> GiveState:
+        """The told state, with the places of the successor's inlets and outputs."""
+        update = self.update
         outputs = {
             update.wanted[inlet].port: told.outputs[old.port]
             for inlet, old in update.rewired.items()
             if old is not None
-            and old.unit == before
+            and (old.unit, update.wanted[inlet].unit) == (one.before, one.successor)
             and old.port in told.outputs
-            and update.wanted[inlet].unit == successor
         }
-        yield GiveState(successor, told.state or None, inputs, outputs)
-        self.held.discard(successor)
-        return True
-
-    def same_inlets(self, before: str, successor: str) -> dict[str, str]:
-        """The inlets of a new unit, each with the inlet of the unit before it that has the same stream or else the same
-        name.
-        """
-        update = self.update
-        old = {inlet.port: wire.stream for inlet, wire in update.actual.feeds.items() if inlet.unit == before}
-        of_stream = {stream: port for port, stream in old.items()}
-        new = {inlet.port: stream for inlet, stream in update.wanted.items() if inlet.unit == successor}
-        found = {port: port if old.get(port) == stream else of_stream.get(stream, port) for port, stream in new.items()}
-        return {port: at for port, at in found.items() if at in old}
-
-    def inlets_of_new_streams(self, before: str, successor: str) -> tuple[str, ...]:
-        """The inlets of a new unit whose streams begin with this update: those of new units, and those that come to it
-        by another way than to the unit `before` it.
-        """
-        update = self.update
-        old, new = update.actual.environment.unit[before], update.after.unit[successor]
-        runs = [
-            of.transformation[unit.transformation].run.blocks
-            for of, unit in ((update.actual.environment, old), (update.after, new))
-        ]
-        is_elsewhere = old.host != new.host or runs[0] != runs[1]
-        return tuple(
-            inlet.port
-            for inlet, stream in update.wanted.items()
-            if inlet.unit == successor and (is_elsewhere or stream.unit in update.fresh)
-        )
+        inputs = {name: told.inputs[old] for name, old in one.inlets.items() if old in told.inputs}
+        return GiveState(one.successor, told.state or None, inputs, outputs)
 
 
 def _state_name(environment: Environment, unit: ComputationUnit) -> str | None:

@@ -9,7 +9,7 @@ from typing import Protocol
 from cfgplan.domain import ChangeSet, Environment, Stream
 from cfgplan_runtime.supervision import wiring
 from cfgplan_runtime.supervision.backend import Inlet
-from cfgplan_runtime.supervision.events import PlacesTold, StateTold
+from cfgplan_runtime.supervision.handover_answers import HandoverAnswers
 
 
 class Actual(Protocol):
@@ -40,11 +40,10 @@ class Actual(Protocol):
     def cause_of_death(self) -> Mapping[str, str]: ...
     @property
     def is_abandoned(self) -> bool: ...
+    @property
+    def answers(self) -> HandoverAnswers: ...
     def stop_s(self, unit: str) -> float | None:
         """The seconds that a unit may take to end, by its transformation; None if that has no `stop`."""
-
-    def answer(self, unit: str) -> PlacesTold | StateTold | None:
-        """The answer of a unit to the last question of a hand-over; None if none has come yet."""
 
     def failure(self, unit: str) -> str | None:
         """The error of a unit's last failed step; None if none has failed."""

@@ -117,6 +117,7 @@ def carry_out(
         yield from update.undo([], keeps_new=keeps_new)
         raise ApplyError(f"the update was undone: {type(error).__name__}: {error}") from error
     yield Commit()
+    yield from update.handovers.report()
     unswitched = len(progress.switching())
     yield from _timed("stop", update.stop(), actual, seconds)
     yield WaitUntil(progress.may_end, patience.stop_s)
