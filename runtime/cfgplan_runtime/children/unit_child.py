@@ -29,6 +29,8 @@ from cfgplan_runtime.streams.said_qualities import SaidQualities
 _LONGEST_WORK_NS = 1_000_000
 """Nanoseconds of back-to-back steps after which sockets are looked at again."""
 _BLOCKED_NS = 500_000_000
+_SLOW_NS = 100_000_000
+"""A source whose last call took so long tells its counts before the next one, during which it can tell nothing."""
 _NEVER_NS = 1 << 63
 """A time that never comes."""
 _LATEST_TICK_NS = 100_000_000
@@ -98,6 +100,10 @@ class UnitChild:
         self._raised: Exception | None = None
         """The last exception of a source that has given nothing since; the cause if the source then ends."""
         self._tick_ns = 0
+        self._said_elements = 0
+        """The elements that its outputs had given by the last sign of life."""
+        self._is_slow = False
+        """Whether the last call of a source's code took long."""
         self._may_rest = False
         """Whether a source pauses, so that this unit may pause too, and its subscribers do not know it yet."""
         self._is_idle = False
@@ -362,8 +368,11 @@ class UnitChild:
             return True
         assert self._code is not None
         self._moment = None
+        if (self._is_slow or not self._said_elements) and self._given_elements > self._said_elements:
+            self._say_status()
         try:
             self._results = self._code.produce()
+            self._is_slow = time.monotonic_ns() - now > _SLOW_NS
             self._raised = None
         except StopIteration:
             if self._raised is not None:
@@ -375,6 +384,10 @@ class UnitChild:
             self._raised = error
             self._fail(error)
         return True
+
+    @property
+    def _given_elements(self) -> int:
+        return sum(output.elements for output in self._ports.outputs.values())
 
     def _exhaust(self) -> None:
         self._is_exhausted = True
@@ -435,6 +448,7 @@ class UnitChild:
         self._said_ns = time.monotonic_ns()
         self._status_ns = self._said_ns + (self._order.idle_sign_ns if self._is_idle else SIGN_NS)
         self._is_idle = True
+        self._said_elements = self._given_elements
         self._tell_repeats()
         self._ports.say(
             messages.UnitSign(
