@@ -5,7 +5,6 @@ It outlives managers: units keep running without one.
 
 from __future__ import annotations
 
-import hashlib
 import secrets
 import time
 from collections import deque
@@ -22,6 +21,7 @@ from cfgplan.domain import MANAGER
 from cfgplan.errors import InputError
 from cfgplan_runtime.children.messages import Export, Import, Marked, Release, TellMark
 from cfgplan_runtime.children.program_source import ProgramSource
+from cfgplan_runtime.children.unit_order import digest_of
 from cfgplan_runtime.fleet import orders
 from cfgplan_runtime.fleet.certificates import Validity, ending
 from cfgplan_runtime.fleet.clocks import HostClock, clock_key
@@ -44,14 +44,6 @@ _SILENCE_S = 5.0
 """Seconds without a message of the manager after which the hand-overs of states that it has left are undone."""
 LINK_S = 2.0
 """Seconds that a starting agent waits for its first link."""
-
-
-def digest_of(path: Path) -> str | None:
-    """The SHA-256 of a source file; None if it can't be read."""
-    try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError:
-        return None
 
 
 def source_file(source: str, folder: Path) -> Path | None:
