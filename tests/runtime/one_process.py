@@ -225,7 +225,7 @@ class House:
             case commands.WaitUntil(holds):
                 if command.patience_s > 0 and not self.wait(holds):
                     self.timed_out.append(command.patience_s)
-            case commands.Commit() | commands.StopAgain() | commands.Dump() | commands.CloseTopic():
+            case commands.Commit() | commands.Undo() | commands.StopAgain() | commands.Dump() | commands.CloseTopic():
                 pass
 
     def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:

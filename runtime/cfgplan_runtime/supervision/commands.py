@@ -158,6 +158,10 @@ class Commit(Command, frozen=True):
     """Note that all new units are ready and connected: from here on nothing is undone."""
 
 
+class Undo(Command, frozen=True):
+    """Note that the update is undone from here on."""
+
+
 class WaitUntil(Command, frozen=True):
     """Wait until the running configuration fulfils a condition, at most `patience_s`."""
 

@@ -270,12 +270,8 @@ class Supervisor:
         may_be_undone = True
         try:
             while True:
-                if fault is not None and may_be_undone:
-                    may_be_undone = False
-                    command = update.throw(fault)
-                else:
-                    command = next(update)
-                may_be_undone = may_be_undone and not isinstance(command, commands.Commit)
+                command = update.throw(fault) if fault is not None and may_be_undone else next(update)
+                may_be_undone = may_be_undone and not isinstance(command, commands.Commit | commands.Undo)
                 fault = self._fault_of(command, may_be_undone=may_be_undone)
         except StopIteration as end:
             carried: updates.CarriedOut = end.value

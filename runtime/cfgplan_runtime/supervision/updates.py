@@ -32,6 +32,7 @@ from cfgplan_runtime.supervision.commands import (
     StopAgain,
     StopUnit,
     SwitchNow,
+    Undo,
     WaitUntil,
 )
 from cfgplan_runtime.supervision.handovers import Handovers
@@ -99,7 +100,7 @@ def carry_out(
 ) -> Generator[Command, None, CarriedOut]:
     """Yield the commands that lead to `after`. Raises ApplyError when a step failed and all was undone.
 
-    Until Commit, the driver throws the exceptions of commands into the generator.
+    Until Commit or Undo, the driver throws the exceptions of commands into the generator.
 
     With `keeps_new`, new units that have not failed then stay, unconnected and paused.
     """
@@ -253,6 +254,7 @@ class _Update:
         The old source is always reconnected: an inlet may just have switched, unnoticed, and elements in between would
         be lost.
         """
+        yield Undo()
         progress = self.progress
         actual, wanted = progress.actual, progress.wanted
         kept = actual.alive & set(progress.started) - set(failed) if keeps_new else set[str]()
