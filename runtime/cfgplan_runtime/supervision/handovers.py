@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Generator, Mapping, Set
+from collections.abc import Callable, Mapping, Set
 from dataclasses import dataclass, field
 
 from cfgplan.domain import ComputationUnit, Environment
@@ -17,7 +17,6 @@ from cfgplan_runtime.streams.element import Moment
 from cfgplan_runtime.supervision.commands import (
     AskPlaces,
     AskState,
-    Command,
     Commands,
     Doubt,
     GiveState,
@@ -78,6 +77,8 @@ class Handovers:
     """The units that wait for a state."""
     asked: set[str] = field(default_factory=set)
     """The units that were asked for their state."""
+    paused: dict[str, Mapping[str, Moment]] = field(default_factory=dict)
+    """The units that have told their state and pause, with the moment of each output's last element."""
     exceptions: list[TellOf | Doubt] = field(default_factory=list)
     """The states that are not exact, or that later answers may show not to be."""
     vain_s: list[float] = field(default_factory=list)
@@ -90,22 +91,24 @@ class Handovers:
             self.held.add(unit)
             yield HoldUnit(unit)
 
-    def carry_out(self) -> Generator[Command, None, set[str]]:
-        """Hand over one state after the other. Returns the sources that have told theirs, and pause."""
-        paused, update = set[str](), self.update
+    def carry_out(self) -> Commands:
+        """Hand over one state after the other."""
         for successor, before in self.before.items():
             yield from self.await_others(before, successor)
-            is_told = False
-            if before in update.actual.alive:
-                is_told = yield from self.hand_over(_Handover.of(update, before, successor))
+            if before in self.update.actual.alive:
+                yield from self.hand_over(_Handover.of(self.update, before, successor))
             else:
                 self.note_exception(before, successor, f"{before} died")
-            if not is_told:
+            if before not in self.paused:
                 yield GiveState(successor)
-            elif not update.after.transformation[update.after.unit[successor].transformation].inputs:
-                paused.add(before)
             self.held.discard(successor)
-        return paused
+
+    @property
+    def paused_sources(self) -> set[str]:
+        """The sources that have told their state, and pause."""
+        after = self.update.after
+        inputs = {unit.id: after.transformation[unit.transformation].inputs for unit in after.units}
+        return {before for unit, before in self.before.items() if before in self.paused and not inputs[unit]}
 
     def report(self) -> Commands:
         """Report the states that may not be exact. If the update is undone, no unit continues from them."""
@@ -205,10 +208,10 @@ class Handovers:
         if inlets:
             yield from self.await_part(successor, lambda: not any(map(update.is_switching, inlets)), _PLACES_S)
 
-    def hand_over(self, one: _Handover) -> Generator[Command, None, bool]:
+    def hand_over(self, one: _Handover) -> Commands:
         """Let the successor, which holds its steps, begin them with the state of the unit before it, at its place.
 
-        Returns whether that unit has told its place, and pauses.
+        If that unit does not tell its place, the successor is given nothing.
         """
         actual, answers, (before, successor) = (
             self.update.actual,
@@ -226,7 +229,8 @@ class Handovers:
         places = (answers.places(successor) or {}) if asked else {}
         needed = [name for name in self.needed(one) if name in asked]
         self.asked.add(before)
-        yield AskState(before, {one.inlets[name]: places[name] for name in needed if name in places}, successor)
+        until = self.ends(one) | {one.inlets[name]: places[name] for name in needed if name in places}
+        yield AskState(before, until, successor)
         yield from self.await_part(
             successor, lambda: answers.state(before) is not None or before not in actual.alive, _STATE_S
         )
@@ -237,25 +241,35 @@ class Handovers:
             self.note_exception(before, successor, f"{before} {cause}")
             if is_alive:
                 yield GiveState(before)  # it must not pause later: nobody else makes the steps that wait in it
-            return False
+            return
         if not told.state:
             self.note_exception(before, successor, f"the code of {before} gives no state")
             if told.state is None:
-                return False
+                return
         elif unknown := set(needed) - places.keys():
             cause = f"an input of {successor} got nothing within {_PLACES_S:g} s"
             covered = {name: told.inputs[one.inlets[name]].last for name in unknown if one.inlets[name] in told.inputs}
             self.note_exception(before, successor, cause, covered if unknown.isdisjoint(one.begun) else None)
+        self.paused[before] = told.outputs
         yield self.given(one, told)
-        return True
 
     def needed(self, one: _Handover) -> list[str]:
         """The inlets of the successor whose places count, since elements come to those of the unit before it. None
-        comes from ending units that give none.
+        comes from ending units that give none, and from units that pause.
         """
-        idle, feeds = self.update.idle_units(), self.update.actual.feeds
-        fed = {inlet.port for inlet, wire in feeds.items() if inlet.unit == one.before and wire.stream.unit not in idle}
+        still, feeds = self.update.idle_units() | self.paused.keys(), self.update.actual.feeds
+        fed = {
+            inlet.port for inlet, wire in feeds.items() if inlet.unit == one.before and wire.stream.unit not in still
+        }
         return [name for name, old in one.inlets.items() if old in fed]
+
+    def ends(self, one: _Handover) -> dict[str, Moment]:
+        """The last element that comes to each inlet of the unit before, if its source pauses."""
+        return {
+            inlet.port: self.paused[wire.stream.unit][wire.stream.port]
+            for inlet, wire in self.update.actual.feeds.items()
+            if inlet.unit == one.before and wire.stream.port in self.paused.get(wire.stream.unit, {})
+        }
 
     def given(self, one: _Handover, told: StateTold) -> GiveState:
         """The told state, with the places of the successor's inlets and outputs."""

@@ -208,8 +208,8 @@ class _Update:
                 yield Connect(stream, inlet)
         # Elements that a unit gives before it is connected would be lost, such as messages that a broker has kept.
         yield from self.activate(unit.id for unit in progress.after.units)
-        paused = yield from self.handovers.carry_out()
-        starved = progress.idle_units() | paused.intersection(progress.change_set.stopped)
+        yield from self.handovers.carry_out()
+        starved = progress.idle_units() | self.handovers.paused_sources
         yield WaitUntil(lambda: bool(progress.dead()) or progress.may_end(starved), self.patience.switch_s)
         progress.fail_if_dead()
         self.fail_if_only_failing(starved)
