@@ -314,6 +314,20 @@ def test_a_chain_of_units_with_states_is_replaced_exactly(run_units: StartRuntim
     assert rises_of_one(runtime, listener) == {1}
 
 
+def test_units_start_at_once_although_the_last_known_state_is_large(run_units: StartRuntime) -> None:
+    """It goes to the new unit's process by way of the nursery, in many parts."""
+    high, low = modes("LargeTally")
+    runtime = run_units(source(rate_hz=20), high, low)
+    runtime.apply(start(unit("count.1"), unit("high.0", topic="/result", x="count.1/n")))
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 5)
+    for number in range(1, 3):
+        runtime.apply(next_mode(number, x="count.1/n"))
+    received = len(listener.received)
+    eventually(lambda: len(listener.received) > received + 5)
+    assert rises_of_one(runtime, listener) == {1}
+
+
 def test_results_after_a_state_was_told_are_the_next_units(run_units: StartRuntime) -> None:
     """The next unit makes these steps in another way, and from the state without them."""
     high, low = (replace(one, params={"by": by}) for one, by in zip(modes("Tally"), (10, 1), strict=True))

@@ -132,6 +132,8 @@ class ProcessBackend:
             timeout_s = left_s if timeout_s is None else min(timeout_s, left_s)
         if self._events:
             timeout_s = 0.0
+        if self._nursery_socket is not None:
+            self._ends.write(self._nursery_socket, is_waiting=self._nursery.is_waiting)
         self._ends.wait(timeout_s)
         if self._outlets_due_s is not None and self._outlets_due_s <= self.now():
             self._start_outlets()
