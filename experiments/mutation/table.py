@@ -605,7 +605,7 @@ SUPERVISION = _room(
     (
         "an undone update leaves new units",
         "updates.py",
-        "ending = {*self.started, *failed} - kept",
+        "ending = {*progress.started, *failed} - kept",
         "ending = {*failed} - kept",
     ),
     (
@@ -626,17 +626,17 @@ SUPERVISION = _room(
         "in sorted(actual.alive & due):",
         "in ():",
     ),
-    ("a dead unit fails no update", "updates.py", "        if dead:", "        if False:"),
+    ("a dead unit fails no update", "progress.py", "        if dead:", "        if False:"),
     (
         "what died during an update is believed to live",
         "updates.py",
-        "if unit.standby else unit.id not in self.actual.alive:",
+        "if unit.standby else unit.id not in progress.actual.alive:",
         "if unit.standby else False:",
     ),
     (
         "spares on a host that is lost during an update are believed to be ready",
         "updates.py",
-        "if unit.host in self.actual.lost_hosts if unit.standby else",
+        "if unit.host in progress.actual.lost_hosts if unit.standby else",
         "if False if unit.standby else",
     ),
     (

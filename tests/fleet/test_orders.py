@@ -5,21 +5,28 @@ from __future__ import annotations
 import json
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from math import inf
+from types import SimpleNamespace
 from typing import Any, cast
 
 import msgspec
 import pytest
 from cfgplan_runtime.children.messages import ImportUnused
+from cfgplan_runtime.children.unit_order import unit_order
 from cfgplan_runtime.fleet import orders
 from cfgplan_runtime.fleet.agent import Agent
 from cfgplan_runtime.fleet.links import Lives
 from cfgplan_runtime.fleet.orders import (
     REFUSE,
     SAY,
+    AskStateOrder,
     EventReport,
     FromAgent,
+    GiveStateOrder,
     GreetOrder,
     Held,
+    HeldUnit,
+    HoldOrder,
     Order,
     OtherVersionError,
     ReliableChannel,
@@ -32,6 +39,7 @@ from cfgplan_runtime.fleet.orders import (
 from cfgplan_runtime.streams.crossing import crossing_key
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 from cfgplan_runtime.supervision.events import UnitDied
+from small_fleet import worker
 
 from cfgplan import __version__
 
@@ -113,8 +121,48 @@ def made_agent(wire: Wire, say: Callable[[str], None] = lambda _: None) -> Agent
     agent = Agent.__new__(Agent)
     agent.name, agent._life, agent._channel, agent._orders = "r1", SESSION.life, None, deque()
     agent._link, agent._is_left, agent._unreadable, agent._tell_user = cast("ZenohLink", wire), False, None, say
-    agent._superseded, agent._held, agent._managers = {}, Held(), Lives()
+    agent._superseded, agent._held, agent._managers, agent._heard_s = {}, Held(), Lives(), inf
     return agent
+
+
+class Told:
+    """A backend that notes what it is asked for."""
+
+    def __init__(self) -> None:
+        self.calls: list[tuple[str, str]] = []
+
+    def __getattr__(self, name: str) -> Callable[..., None]:
+        return lambda unit, *_: self.calls.append((name, unit))
+
+
+def test_an_agent_undoes_the_hand_overs_that_a_silent_manager_has_left_and_none_of_one_that_is_heard(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clock = SimpleNamespace(now_s=0.0)
+    monkeypatch.setattr("time.monotonic", lambda: clock.now_s)
+    agent = made_agent(Wire())
+    backend = agent._backend = cast("Any", Told())
+    order = unit_order("a.1", worker(), None)
+    agent._held.units = {name: HeldUnit("a", order) for name in ("old.1", "new.1", "done.1", "ending.1", "other.1")}
+    agent._stopping = {}
+    handed: list[Order] = [
+        HoldOrder("new.1"),
+        AskStateOrder("old.1", {}, "new.1"),
+        AskStateOrder("ending.1", {}, "done.1"),
+        GiveStateOrder("done.1", None, {}, {}),
+        StopOrder("ending.1"),
+    ]
+    say_all(agent, SESSION, handed)
+    while agent._orders:
+        agent._obey(agent._orders.popleft())
+    backend.calls.clear()
+    clock.now_s = 4.0
+    say_all(agent, SESSION, [StopOrder("other.1")])
+    agent._undo_handovers(8.9)
+    assert backend.calls == []
+    agent._undo_handovers(9.0)
+    agent._undo_handovers(30.0)
+    assert backend.calls == [("give_state", "old.1"), ("kill", "new.1")]
 
 
 def say_all(agent: Agent, session: Session, *batches: list[msgspec.Struct]) -> None:

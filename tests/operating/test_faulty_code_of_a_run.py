@@ -9,12 +9,15 @@ import pytest
 from cfgplan_runtime.lifecycle.changes import KillUnit, ReviewNow
 from cfgplan_runtime.lifecycle.perturbations import CodeChanged
 from cfgplan_runtime.lifecycle.policy import Policy
-from cfgplan_runtime.lifecycle.reports import Perturbed, Report, Reviewed, WorldRefused
+from cfgplan_runtime.lifecycle.reports import Perturbed, Report, Reviewed, UnitEvent, WorldRefused
 from cfgplan_runtime.operating.operation import Operation, Settings
+from cfgplan_runtime.operating.sources import Sources
+from cfgplan_runtime.supervision.events import UnitReady
 from operated_world import PATIENCE_S, UNITS, await_event, eventually, running, write_world
 
 from cfgplan import api
 from cfgplan.cli import main
+from cfgplan.domain import ComputationUnit, OutputPort, Transformation
 
 BROKEN = "import nosuchmodule\n" + UNITS
 AT_DETECTORS = "detectors.py:1:8: it imports nosuchmodule, which is not there"
@@ -111,6 +114,33 @@ def test_edited_code_is_advised_to_be_restarted_and_a_restart_uses_it(
         assert "no lens" in capsys.readouterr().out
         assert main(["ctl", "logs", review["change_set"]["started"][0]["transformation"]]) == 0
         assert "ValueError: no lens" in capsys.readouterr().out
+
+
+def test_code_that_is_as_it_was_again_is_no_other_code(tmp_path: Path) -> None:
+    """A unit that has started in between has the other code."""
+    file, code = tmp_path / "units.py", "def count():\n    yield 0\n"
+    one = Transformation("count", outputs=(OutputPort("n", "N"),), source="units.py:count")
+    running, said = [ComputationUnit("count.1", "count")], list[str]()
+    sources = Sources(
+        tmp_path, None, library=lambda: (one,), running=lambda: running, request=lambda _: None, tell=said.append
+    )
+
+    def units_with_other_code_than(text: str) -> str:
+        said.clear()
+        file.write_text(text)
+        sources._hear(frozenset({file}))
+        return "".join(one.partition(" from before: ")[2].partition(";")[0] for one in said)
+
+    file.write_text(code)
+    sources.look_at((one,))
+    sources.hear(UnitEvent(UnitReady("count.1", 10)))
+    assert units_with_other_code_than(code + "\n") == "count.1"
+    assert units_with_other_code_than(code) == ""
+    assert units_with_other_code_than(code + "\n") == "count.1"
+    running.append(ComputationUnit("count.2", "count"))
+    sources.hear(UnitEvent(UnitReady("count.2", 10)))
+    assert units_with_other_code_than(code + "\n\n") == "count.1, count.2"
+    assert units_with_other_code_than(code) == "count.2"
 
 
 def test_a_reloading_run_restarts_what_runs_of_an_edited_file(env: Path) -> None:

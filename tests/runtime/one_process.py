@@ -19,8 +19,9 @@ from cfgplan_runtime.streams.channel import socket_pair
 from cfgplan_runtime.streams.element import Element, Outgoing
 from cfgplan_runtime.streams.inlet import InputQueue
 from cfgplan_runtime.streams.payload import PayloadEncoder, decode
-from cfgplan_runtime.supervision import events, updates, wiring
+from cfgplan_runtime.supervision import commands, events, updates, wiring
 from cfgplan_runtime.supervision.backend import Inlet
+from cfgplan_runtime.supervision.handover_answers import HandoverAnswers
 
 from cfgplan.domain import ChangeSet, Environment, Stream, Transformation
 
@@ -100,7 +101,7 @@ class Topics(_Child):
 
 
 class House:
-    """The `updates.Actual` of units in this process. `draw(n)` returns a number below n."""
+    """The `progress.Actual` of units in this process. `draw(n)` returns a number below n."""
 
     def __init__(self, library: Sequence[Transformation], cameras: Sequence[str], draw: Callable[[int], int]) -> None:
         self.environment = Environment(library=tuple(library))
@@ -116,12 +117,14 @@ class House:
         """The patience of each wait in vain, in seconds."""
         self.wiring = wiring.Wiring(self)  # type: ignore[arg-type]
         self.units: dict[str, Unit] = {}
-        self.doomed: dict[str, type[updates.Command]] = {}
+        self.doomed: dict[str, type[commands.Command]] = {}
         """Units that die when they get such a command."""
+        self.blocked: set[str] = set()
+        """Cameras whose code blocks: they hear nothing."""
         self.time_ns = 0
         self.cameras = {f"{label}.1": Camera(self._tick) for label in cameras}
         self.outlets = Topics()
-        self._answers: dict[str, Any] = {}
+        self.answers = HandoverAnswers()
         self._states: dict[str, bytes] = {}
         self._draw = draw
         self._is_quiet = False
@@ -138,9 +141,6 @@ class House:
 
     def stop_s(self, unit: str) -> float | None:  # noqa: ARG002
         return None
-
-    def answer(self, unit: str) -> Any:
-        return self._answers.get(unit)
 
     def failure(self, unit: str) -> str | None:  # noqa: ARG002
         return None
@@ -159,10 +159,10 @@ class House:
     def apply(self, change_set: ChangeSet) -> updates.CarriedOut:
         """Raises ApplyError if it was undone."""
         after = updates.environment_after(self.environment, change_set)
-        commands = updates.carry_out(self, change_set, after, updates.Patience())  # type: ignore[arg-type]
+        update = updates.carry_out(self, change_set, after, updates.Patience())  # type: ignore[arg-type]
         try:
             while True:
-                self._obey(next(commands))
+                self._obey(next(update))
         except StopIteration as end:
             self.environment = end.value.environment
             carried: updates.CarriedOut = end.value
@@ -170,60 +170,62 @@ class House:
         finally:
             self.wiring.settle()
 
-    def _obey(self, command: updates.Command) -> None:
+    def _obey(self, command: commands.Command) -> None:
         tell = self._tell
         unit_id = getattr(command, "unit", "")
         if isinstance(unit_id, str) and isinstance(command, self.doomed.get(unit_id, ())):
             self.kill(unit_id)
         match command:
-            case updates.OpenTopic(topic):
+            case commands.OpenTopic(topic):
                 self.topics[topic] = None
                 self.outlets.open(topic)
-            case updates.StartUnit(unit, transformation):
+            case commands.StartUnit(unit, transformation):
                 self.alive.add(unit.id)
                 self.inactive.add(unit.id)
                 if unit.id not in self.cameras:
                     self.units[unit.id] = Unit(
                         unit.id, transformation, self._states.get(transformation.state_name or "")
                     )
-            case updates.ActivateUnit(unit):
+            case commands.ActivateUnit(unit):
                 self.inactive.discard(unit)
                 tell(unit, messages.Activate())
-            case updates.DeactivateUnit(unit):
+            case commands.DeactivateUnit(unit):
                 self.inactive.add(unit)
                 tell(unit, messages.Deactivate())
-            case updates.HoldUnit(unit):
+            case commands.HoldUnit(unit):
                 tell(unit, messages.HoldSteps())
-            case updates.AskPlaces(unit, begun):
-                self._answers.pop(unit, None)
-                tell(unit, messages.TellPlaces(list(begun)))
-            case updates.AskState(unit, until):
-                self._answers.pop(unit, None)
+            case commands.AskPlaces(unit, inlets):
+                self.answers.ask(command)
+                tell(unit, messages.TellPlaces(dict(inlets)))
+            case commands.AskState(unit, until):
+                self.answers.ask(command)
                 tell(unit, messages.TellState(dict(until)))
-            case updates.GiveState(unit):
+            case commands.GiveState(unit):
                 self.go_on(self._draw(30))
                 given = msgspec.structs.asdict(command)
                 del given["unit"]
                 tell(unit, messages.TakeState(**given))
-            case updates.TellOf(event):
+            case commands.TellOf(event):
                 self.inexact.append(event)
-            case updates.StopUnit(unit):
+            case commands.Doubt():
+                self.answers.doubt(command)
+            case commands.StopUnit(unit):
                 self.wiring.forget_inputs(unit)
                 tell(unit, messages.Finish())
-            case updates.EndUnit(unit) | updates.CutShort(unit):
+            case commands.EndUnit(unit) | commands.CutShort(unit):
                 self.kill(unit)
-            case updates.Connect(stream, inlet):
+            case commands.Connect(stream, inlet):
                 self.wiring.connect(stream, inlet, self.environment.transformation.get(inlet.unit.partition(".")[0]))
-            case updates.Disconnect(inlet):
+            case commands.Disconnect(inlet):
                 self.wiring.disconnect(inlet)
-            case updates.SwitchNow(inlet):
+            case commands.SwitchNow(inlet):
                 self._tell(inlet.unit, messages.SwitchNow(inlet.port))
-            case updates.SetEnvironment(environment):
+            case commands.SetEnvironment(environment):
                 self.environment = environment
-            case updates.WaitUntil(holds):
+            case commands.WaitUntil(holds):
                 if command.patience_s > 0 and not self.wait(holds):
                     self.timed_out.append(command.patience_s)
-            case updates.Commit() | updates.StopAgain() | updates.Dump() | updates.CloseTopic():
+            case commands.Commit() | commands.Undo() | commands.StopAgain() | commands.Dump() | commands.CloseTopic():
                 pass
 
     def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:
@@ -272,6 +274,8 @@ class House:
         """Let one process go on."""
         processes = [*self.units.items(), *self.cameras.items(), ("", self.outlets)]
         name, process = processes[self._draw(len(processes))]
+        if name in self.blocked:
+            return
         if isinstance(process, Camera) and not self._is_quiet and self._draw(4) == 0:
             process.give()
         process.turn()
@@ -285,9 +289,11 @@ class House:
         for message, _ in process.control.receive():
             match message:
                 case messages.Places(moments):
-                    self._answers[name] = events.PlacesTold(name, moments)
+                    self.answers.note(events.PlacesTold(name, moments))
+                    settled = self.answers.settled(name)
+                    self.inexact += [] if settled is None else [settled]
                 case messages.StateTold():
-                    self._answers[name] = events.StateTold(name, **msgspec.structs.asdict(message))
+                    self.answers.note(events.StateTold(name, **msgspec.structs.asdict(message)))
                 case messages.Switched(_, wire):
                     self.wiring.note_switch(wire)
                 case messages.Lost(_, wire):

@@ -12,6 +12,7 @@ from cfgplan_runtime.lifecycle.guarded_estimator import GuardedEstimator
 from cfgplan_runtime.lifecycle.seams import DeclaredCosts
 from cfgplan_runtime.supervision.backend import Inlet
 from cfgplan_runtime.supervision.events import Event
+from cfgplan_runtime.supervision.simulated_backend import Behaviour
 from world import RESULT, source, start, unit, worker
 
 from cfgplan.domain import ChangeSet, Environment
@@ -78,6 +79,26 @@ def test_a_backend_may_raise_at_any_order_and_what_is_believed_is_what_runs() ->
         runtime.apply(ChangeSet(started=(unit("work.3"),)))
         assert "work.3" in runtime.backend.units
     assert outcomes == {True, False}
+
+
+@pytest.mark.parametrize(
+    "other",
+    [Behaviour(dies_at_start="no camera"), Behaviour(dies_s=0.1, quiet=True)],
+    ids=["at its start", "when it is connected"],
+)
+def test_a_backend_may_raise_while_an_update_is_undone_since_a_unit_has_died(other: Behaviour) -> None:
+    number = 0
+    while True:
+        number += 1
+        runtime = SimulatedRuntime((source(), worker(), worker("other")), (RESULT,), behaviours={"other": other})
+        runtime.apply(start(COUNT, WORK))
+        called = fail_at(runtime, number)
+        with pytest.raises(ApplyError):
+            runtime.apply(ChangeSet(started=(unit("other.1", topic="/result", x="count.1/n"),), stopped=("work.1",)))
+        assert runtime.supervisor.alive - {"other.1"} == set(runtime.environment.unit) == {"count.1", "work.1"}
+        if len(called) < number:
+            break
+    assert number > 3
 
 
 def test_the_first_update_is_undone_too() -> None:

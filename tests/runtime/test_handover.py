@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import time
 from collections.abc import Iterable
 from dataclasses import replace
 from itertools import islice, pairwise
@@ -89,31 +90,41 @@ def test_the_steps_of_two_units_are_those_of_one(seed: int, start: str, loose: s
     assert steps + made(following) + fed(following, arrivals[last:]) == whole
 
 
-def test_a_unit_whose_state_is_late_keeps_few_elements_holds_nobody_up_and_begins_only_with_its_state(
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize("queue", [1, 40])
+@pytest.mark.parametrize("is_next", [True, False], ids=["the next unit", "the unit before"])
+def test_large_elements_that_come_in_a_hand_over_are_bounded_in_bytes(*, is_next: bool, queue: int) -> None:
+    """Images: their number alone would allow gigabytes. As many as may wait otherwise are kept in any case."""
+    high, _ = modes("Tally", run=RunOptions(queue=queue))
+    with child_of(high) as child:
+        child._obey(Activate(), [])
+        child._obey(HoldSteps() if is_next else TellState({}), [])
+        child._work()
+        for number in range(50):
+            child._ports.inputs["x"].take(Element(number, 0, number, bytes(1 << 20)))
+        room = max(queue, 32)
+        assert (child._handover.waiting("x"), child._steps.dropped) == (room, {"x": 50 - room})
+
+
+@pytest.mark.parametrize("is_next", [True, False], ids=["the next unit", "the unit before"])
+def test_no_step_begins_in_a_hand_over_however_long_the_update_takes(
+    monkeypatch: pytest.MonkeyPatch, *, is_next: bool
 ) -> None:
-    """Its manager may be gone, and the unit before it may still need the same stream."""
-    clock = SimpleNamespace(now_ns=0)
-    monkeypatch.setattr("cfgplan_runtime.children.handover.time.monotonic_ns", lambda: clock.now_ns)
-    queue = StepQueue(["x"], start="all", tolerance_ns=0, limit=3)
-    handover = Handover(queue, cast("Ports", SimpleNamespace(inputs={})), 3)
-    handover.hold()
-    numbers = iter(range(1000))
-
-    def come(count: int) -> None:
-        for number in islice(numbers, count):
-            handover.keep("x", Element(number, 0, number, b""), may_drop=False)
-
-    come(10)
-    assert (handover.waiting("x"), queue.dropped["x"], handover.is_full("x")) == (10, 0, False)
-    clock.now_ns = 3_600_000_000_000
-    come(10)
-    handover.refill()
-    assert (handover.waiting("x"), queue.dropped["x"], handover.is_full("x")) == (3, 17, False)
-    assert (handover.is_waiting, made(queue)) == (True, [])
-    handover.begin({})
-    handover.refill()
-    assert (handover.is_waiting, made(queue)) == (False, [{"x": 17}, {"x": 18}, {"x": 19}])
+    """Other units of the update may hand over their states slowly, one after the other."""
+    high, _ = modes("Tally")
+    with child_of(high) as child:
+        child._obey(Activate(), [])
+        child._obey(HoldSteps() if is_next else TellState({}), [])
+        child._work()
+        now_ns = time.monotonic_ns()
+        monkeypatch.setattr("time.monotonic_ns", lambda: now_ns + 3_600_000_000_000)
+        for number in range(1000):
+            child._ports.inputs["x"].take(Element(number, 0, number, b"".join(PayloadEncoder().encode(number))))
+        child._work()
+        assert child.step == 0
+        child._obey(TakeState(None, {}, {}), [])
+        while (step := child._pending) is not None:
+            child._begin(step)
+        assert (child.step, child._steps.dropped) == (1000, {"x": 0})
 
 
 @pytest.mark.parametrize("is_next", [True, False], ids=["the next unit", "a unit that stays"])
@@ -300,6 +311,20 @@ def test_a_chain_of_units_with_states_is_replaced_exactly(run_units: StartRuntim
     received = len(listener.received)
     eventually(lambda: len(listener.received) > received + 5)
     assert seen(runtime, StateNotExact) == []
+    assert rises_of_one(runtime, listener) == {1}
+
+
+def test_units_start_at_once_although_the_last_known_state_is_large(run_units: StartRuntime) -> None:
+    """It goes to the new unit's process by way of the nursery, in many parts."""
+    high, low = modes("LargeTally")
+    runtime = run_units(source(rate_hz=20), high, low)
+    runtime.apply(start(unit("count.1"), unit("high.0", topic="/result", x="count.1/n")))
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 5)
+    for number in range(1, 3):
+        runtime.apply(next_mode(number, x="count.1/n"))
+    received = len(listener.received)
+    eventually(lambda: len(listener.received) > received + 5)
     assert rises_of_one(runtime, listener) == {1}
 
 
@@ -490,22 +515,17 @@ def test_a_state_that_comes_again_changes_nothing_in_a_unit_that_makes_steps(run
     assert rises_of_one(runtime, listener) == {1}
 
 
-def test_a_source_that_was_asked_for_its_state_and_stays_gives_again_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = SimpleNamespace(now_ns=0)
-    monkeypatch.setattr("cfgplan_runtime.children.handover.time.monotonic_ns", lambda: clock.now_ns)
-    said = list[object]()
+def test_a_source_that_was_asked_for_its_state_and_stays_gives_again_at_once() -> None:
     handover = Handover(
         StepQueue([], start="all", tolerance_ns=0, limit=1),
-        cast("Ports", SimpleNamespace(inputs={}, outputs={}, say=said.append)),
+        cast("Ports", SimpleNamespace(inputs={}, outputs={}, say=lambda _: None)),
         3,
     )
     handover.ask_state({})
     handover.tell(b"state", {})
     assert handover.is_still
-    assert handover.pause_ns > 0
     handover.stay()
     assert not handover.is_still
-    assert handover.pause_ns == 0
     handover.ask_state({})
     handover.stay()
     assert not handover.is_state_due

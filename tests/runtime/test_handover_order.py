@@ -10,7 +10,7 @@ from random import Random
 
 import pytest
 from cfgplan_runtime.errors import ApplyError
-from cfgplan_runtime.supervision.updates import ActivateUnit, GiveState
+from cfgplan_runtime.supervision.commands import ActivateUnit, GiveState
 from one_process import House, slow_clock
 from world import start, unit, worker
 
@@ -133,6 +133,32 @@ def test_each_step_is_made_once_and_each_element_comes_once(network: str, seed: 
                 if numbered and place.every == 1 and place.start in ("any", "all", "aligned", port) and port != "z":
                     is_alone = place.start in ("all", "aligned") or len(place.feeds) == 1
                     assert rises([inputs[port] for _, inputs, _ in came]) <= ({1} if is_alone else {0, 1})
+
+
+@pytest.mark.parametrize("network", ["one", "chain"])
+@pytest.mark.parametrize("is_lost", [False, True])
+@pytest.mark.parametrize("seed", range(6))
+def test_a_state_counts_as_not_exact_only_if_an_element_is_missing(network: str, seed: int, *, is_lost: bool) -> None:
+    """The source blocks in its code until the update is over. It may then give an element before it hears of the next
+    unit. In a chain, only the first unit waits for it.
+    """
+    places = NETWORKS[network]
+    house = House([*library(places, RunOptions(), 0)], CAMERAS, Random(seed).randrange)
+    with closing(house):
+        old, new = (made(places, dict.fromkeys(places, number)) for number in (0, 1))
+        house.apply(start(*map(unit, house.cameras), *old.values()))
+        house.go_on(200)
+        house.blocked = {"cam.1"}
+        house.apply(ChangeSet(started=tuple(new.values()), stopped=tuple(one.id for one in old.values())))
+        assert house.timed_out.count(0.5) == 1
+        if is_lost:
+            house.cameras["cam.1"].give()
+        house.blocked = set()
+        house.go_on(300)
+        house.settle()
+        assert [(one.unit, one.before) for one in house.inexact] == [("A1.1", "A0.0")] * is_lost
+        numbers = [inputs["x"] for _, inputs, _ in house.outlets.came["/A"]]
+        assert rises(numbers) == ({1, 2} if is_lost else {1})
 
 
 def rises(numbers: list[int]) -> set[int]:

@@ -14,7 +14,9 @@ import pytest
 from cfgplan_runtime import ApplyError, Patience, SimulatedBackend, StaleChangeSetError, Supervisor
 from cfgplan_runtime.children.unit_order import order_digest
 from cfgplan_runtime.errors import NoSourceError
+from cfgplan_runtime.streams.element import Moment
 from cfgplan_runtime.supervision.backend import Failures, Found, FoundWire, Inlet, StoppingUnit
+from cfgplan_runtime.supervision.commands import Doubt
 from cfgplan_runtime.supervision.events import (
     Applied,
     Event,
@@ -23,7 +25,9 @@ from cfgplan_runtime.supervision.events import (
     HelperHung,
     HostLost,
     InputLost,
+    PlacesTold,
     RolledBack,
+    StateNotExact,
     UnitCutShort,
     UnitDied,
     UnitFound,
@@ -467,6 +471,22 @@ def test_a_state_that_an_earlier_supervisor_has_known_goes_to_the_next_unit() ->
         supervisor = Supervisor(backend, Environment((), library, (RESULT,)), lambda _: None)
     supervisor.apply(start(*ONE))
     assert backend.units["work.1"].state == b"7"
+
+
+@pytest.mark.parametrize(("place", "is_told"), [((3, 0), False), ((4, 0), True)])
+def test_a_state_that_may_not_be_exact_is_told_once_a_place_shows_that_an_element_is_missing(
+    place: Moment, is_told: bool
+) -> None:
+    """The place may come long after the update, when the source's code no longer blocks."""
+    doubt = Doubt(StateNotExact("work.2", "work.1", "an input got nothing"), {"x": (3, 0)})
+    house = InSimulation(Environment(library=(source(), worker())), {})
+    house.supervisor.apply(start(unit("count.1"), unit("work.2", x="count.1/n")))
+    house.supervisor._obey(doubt)
+    house.pass_time(1.0)
+    assert doubt.event not in house.events
+    house.backend.tell(PlacesTold("work.2", {"x": place}))
+    house.pass_time(1.0)
+    assert (doubt.event in house.events) == is_told
 
 
 def test_a_stalled_supervisor_takes_nobody_for_hung_but_what_hangs() -> None:

@@ -20,6 +20,7 @@ from cfgplan_runtime.supervision.commands import (
     CutShort,
     DeactivateUnit,
     Disconnect,
+    Doubt,
     Dump,
     EndUnit,
     GiveState,
@@ -34,11 +35,12 @@ from cfgplan_runtime.supervision.commands import (
     WaitUntil,
 )
 from cfgplan_runtime.supervision.events import PlacesTold, StateTold
+from cfgplan_runtime.supervision.handover_answers import HandoverAnswers
 from cfgplan_runtime.supervision.updates import CarriedOut, carry_out, environment_after
 from cfgplan_runtime.supervision.wiring import Wire, wanted_feeds, wanted_topics
 from world import RESULT, source, start, unit, worker
 
-from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Host, RunOptions, Target
+from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Host, InputPort, RunOptions, Target
 
 COUNT, WORK = unit("count.1"), unit("work.1", topic="/result", x="count.1/n")
 NEW = unit("work.2", topic="/result", x="count.1/n")
@@ -82,13 +84,12 @@ class Scene:
         wanted = wanted_feeds(self.environment)
         self.feeds = {inlet: Wire(0, stream, inlet, has_switched=True) for inlet, stream in wanted.items()}
         self.said: list[str] = []
-        self.answers: dict[str, PlacesTold | StateTold] = {}
+        self.answers = HandoverAnswers()
+        self.places: list[dict[str, bool]] = []
+        """The places that were asked for."""
 
     def stop_s(self, unit: str) -> float | None:
         return self.limits.get(unit)
-
-    def answer(self, unit: str) -> PlacesTold | StateTold | None:
-        return self.answers.get(unit)
 
     def failure(self, unit: str) -> str | None:
         return "bad luck" if unit in self.failing and unit in self.alive else None
@@ -128,20 +129,26 @@ class Scene:
                 self.said.append(f"pause {name}")
             case HoldUnit(name):
                 self.said.append(f"hold {name}")
-            case AskPlaces(name, begun):
-                self.said.append(" ".join(["places", name, *begun]))
-                self._answer(PlacesTold(name, {inlet.port: PLACE for inlet in self.feeds if inlet.unit == name}))
+            case AskPlaces(name, inlets):
+                self.said.append(" ".join(["places", name, *(inlet for inlet, is_begun in inlets.items() if is_begun)]))
+                self.places.append(dict(inlets))
+                self.answers.ask(command)
+                self._answer(PlacesTold(name, dict.fromkeys(inlets, PLACE)))
             case AskState(name, until, successor):
+                self.answers.ask(command)
                 assert set(until.values()) <= {PLACE}
                 assert successor in self.alive
                 self.said.append(" ".join(["ask", name, *until]))
                 state = None if name in self.stateless else f"that of {name}".encode()
                 inputs = {inlet.port: GivenInput(PLACE) for inlet in self.feeds if inlet.unit == name}
-                self._answer(StateTold(name, state, inputs, {}))
+                outputs = {wire.stream.port: PLACE for wire in self.feeds.values() if wire.stream.unit == name}
+                self._answer(StateTold(name, state, inputs, outputs))
             case GiveState(name, state, inputs):
                 self.said.append(f"give {name} {'what is known' if state is None else state.decode()} {sorted(inputs)}")
             case TellOf(event):
                 self.said.append(f"{event.unit} after {event.before}: {event.cause}")
+            case Doubt(event, unless):
+                self.said.append(f"{event.unit} after {event.before}: {event.cause} unless {dict(unless)}")
             case StopUnit(name):
                 self.said.append(f"stop {name}")
                 if name not in self.stubborn:
@@ -170,9 +177,8 @@ class Scene:
                 self.said.append("wait" if holds() else "wait in vain")
 
     def _answer(self, event: PlacesTold | StateTold) -> None:
-        self.answers.pop(event.unit, None)
         if event.unit not in self.mute:
-            self.answers[event.unit] = event
+            self.answers.note(event)
 
     def _end(self, name: str) -> None:
         self.alive.discard(name)
@@ -317,23 +323,22 @@ NEXT = "hold low.1, count.1/n > low.1/x, low.1/y > /result"
         (
             Scene(MODES, mute={"high.1"}),
             (
-                "places low.1, wait, ask high.1 x, wait in vain, "
-                "low.1 after high.1: high.1 did not tell its state within 1 s, "
-                "give high.1 what is known [], give low.1 what is known [], wait"
+                "places low.1, wait, ask high.1 x, wait in vain, give high.1 what is known [], "
+                "give low.1 what is known [], wait, low.1 after high.1: high.1 did not tell its state within 1 s"
             ),
         ),
         (
             Scene(MODES, stateless={"high.1"}),
             (
-                "places low.1, wait, ask high.1 x, wait, "
-                "low.1 after high.1: the code of high.1 gives no state, give low.1 what is known [], wait"
+                "places low.1, wait, ask high.1 x, wait, give low.1 what is known [], wait, "
+                "low.1 after high.1: the code of high.1 gives no state"
             ),
         ),
         (
             Scene(MODES, mute={"low.1"}),
             (
-                "places low.1, wait in vain, ask high.1, wait, "
-                "low.1 after high.1: an input of low.1 got nothing within 0.5 s, give low.1 that of high.1 ['x'], wait"
+                "places low.1, wait in vain, ask high.1, wait, give low.1 that of high.1 ['x'], wait, "
+                "low.1 after high.1: an input of low.1 got nothing within 0.5 s unless {'x': (7, 0)}"
             ),
         ),
     ],
@@ -342,6 +347,48 @@ NEXT = "hold low.1, count.1/n > low.1/x, low.1/y > /result"
 def test_a_unit_goes_on_with_the_present_state_of_the_one_that_it_replaces(scene: Scene, said: str) -> None:
     scene.carry_out(LOWER)
     assert ", ".join(scene.said).startswith(f"start low.1, wait, {NEXT}, begin low.1, {said}, stop high.1")
+
+
+@pytest.mark.parametrize(
+    ("last", "said"),
+    [(HoldUnit, "high.1 died"), (AskPlaces, "high.1 died before it told its state")],
+    ids=["before its hand-over", "in its hand-over"],
+)
+def test_an_update_goes_on_with_the_last_known_state_if_the_unit_that_it_replaces_dies(
+    last: type[Command], said: str
+) -> None:
+    scene = Scene(MODES, mute={"high.1"})
+    commands = carry_out(scene, LOWER, environment_after(scene.environment, LOWER), Patience())
+    while not isinstance(command := next(commands), last):
+        scene.obey(command)
+    scene.obey(command)
+    scene._end("high.1")
+    scene.environment = scene.environment.without_unit("high.1")
+    with pytest.raises(StopIteration):
+        while True:
+            scene.obey(next(commands))
+    assert "give low.1 what is known []" in scene.said
+    assert f"low.1 after high.1: {said}" in scene.said
+
+
+def test_no_exception_is_told_of_a_hand_over_that_is_undone() -> None:
+    """The old unit continues with its own state."""
+    scene = Scene(MODES, mute={"high.1"}, quiet={"low.1"}, failing={"low.1"})
+    with pytest.raises(ApplyError):
+        scene.carry_out(LOWER)
+    assert "give high.1 what is known []" in scene.said
+    assert not [said for said in scene.said if said.startswith("low.1 after")]
+
+
+def test_a_hand_over_asks_for_no_place_that_the_unit_before_can_not_know() -> None:
+    """The new mode has one more input, whose source gives nothing yet, for example."""
+    high, low = MODES.library[1:]
+    wide = replace(low, inputs=(*low.inputs, InputPort("z", "N")))
+    scene = Scene(replace(MODES, library=(MODES.library[0], high, wide, MAP)))
+    (new,) = LOWER.started
+    more = unit(new.id, topic="/result", x="count.1/n", z="map.1/n")
+    scene.carry_out(ChangeSet(started=(unit("map.1"), more), stopped=LOWER.stopped))
+    assert scene.places == [{"x": False}]
 
 
 def joined(number: int, **more: str) -> ComputationUnit:
@@ -370,7 +417,7 @@ def test_no_hand_over_waits_for_the_next_element_of_a_source_that_ends_and_gives
     scene = Scene(JOINING, dry={"map.1"})
     new = unit("join.2", topic="/result", a="count.1/n", b="map.2/n")
     scene.carry_out(ChangeSet(started=(unit("map.2"), new), stopped=("join.1", "map.1")))
-    assert [said for said in scene.said if said.startswith(("places", "ask"))] == ["places join.2 b", "ask join.1 a"]
+    assert [said for said in scene.said if said.startswith(("places", "ask"))] == ["places join.2", "ask join.1 a"]
 
 
 def test_units_without_a_state_that_do_not_answer_hold_up_an_update_only_once() -> None:
@@ -475,7 +522,7 @@ def test_a_unit_that_replaces_none_is_given_no_state() -> None:
 
 
 def test_states_are_handed_over_from_upstream_to_downstream() -> None:
-    """An inlet of a new stream has its place with its first element."""
+    """The last element of the unit upstream says where the one downstream stops."""
     first, second = (worker(label, run=RunOptions(state=True)) for label in ("first", "second"))
 
     def chain(number: int) -> tuple[ComputationUnit, ...]:
@@ -492,7 +539,6 @@ def test_states_are_handed_over_from_upstream_to_downstream() -> None:
         "places second.2",
         "ask second.1 x",
         "give second.2 that of second.1 ['x']",
-        "places first.2 x",
         "ask first.1 x",
         "give first.2 that of first.1 ['x']",
     ]

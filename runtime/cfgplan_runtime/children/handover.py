@@ -2,14 +2,14 @@
 
 The next unit keeps the elements that it receives, and says from which moment on it receives all. The old unit
 continues. Once it has received the element of that moment, it tells its state between two steps, with the place of
-that state in each input, and pauses. The next unit begins there.
+that state in each input, and pauses. The next unit begins there. Only the supervisor ends a pause or a wait, or the
+agent of a fleet whose manager is gone.
 """
 
 from __future__ import annotations
 
-import time
 from collections import deque
-from collections.abc import Collection, Mapping
+from collections.abc import Iterable, Mapping
 from itertools import chain
 
 from cfgplan_runtime.children.control import LONGEST_MESSAGE
@@ -20,20 +20,34 @@ from cfgplan_runtime.streams.channel import MOST_WAITING_BYTES
 from cfgplan_runtime.streams.element import Element, Moment
 from cfgplan_runtime.streams.inlet import port_of
 
-_MOST_HELD_NS = 5_000_000_000
-"""Nanoseconds after which a unit that waits for a state keeps few elements, and a unit that has sent its state
-continues: the supervisor may be gone. The next supervisor undoes the hand-over.
-"""
-NEVER_NS = 1 << 63
-"""A time that never comes."""
 _MOST_HELD = 4096
-"""The most elements that an inlet keeps: four seconds at 1,000 Hz."""
+"""The most elements that an inlet keeps: four seconds at 1,000 Hz. Beyond the unit's `queue`, they also have at most
+MOST_WAITING_BYTES.
+"""
 _MOST_GIVEN_BYTES = LONGEST_MESSAGE // 2
 """The most bytes of elements that the next unit is given."""
 _LESS_ROOM = 0.1
 """For each kept element that goes to the steps, so many fewer may be kept: units that are at work for up to nine tenths
 of the time drop none.
 """
+
+
+class _Kept:
+    """The elements that an inlet keeps, the oldest first."""
+
+    def __init__(self, elements: Iterable[Element] = ()) -> None:
+        self.elements = deque(elements)
+        self.bytes = sum(len(one.payload) for one in self.elements)
+
+    def append(self, element: Element) -> None:
+        self.elements.append(element)
+        self.bytes += len(element.payload)
+
+    def take(self) -> Element:
+        """Remove and return the oldest element."""
+        element = self.elements.popleft()
+        self.bytes -= len(element.payload)
+        return element
 
 
 class Handover:
@@ -43,24 +57,21 @@ class Handover:
         self._steps = steps
         self._ports = ports
         self._limit = queue
-        self._held: dict[str, deque[Element]] | None = None
+        self._held: dict[str, _Kept] | None = None
         """By inlet the elements that the steps have not got yet; None if they get each at once."""
         self._most: float = _MOST_HELD
         self.is_waiting = False
         """Whether the unit waits for its state; no step begins before it comes."""
-        self._late_ns = 0
-        """The time from which on a waiting unit keeps few elements."""
-        self._begun: Collection[str] | None = None
-        """The inlets that must have received an element before the places are told; None if nobody asks."""
+        self._sought: Mapping[str, bool] | None = None
+        """The inlets whose places are asked for; True: its first element is its place. None if nobody asks."""
         self._asked: Mapping[str, Moment] | None = None
         """The elements after which the state is told, by inlet; None if nobody asks."""
-        self._paused_until_ns = 0
-        """The time until which a unit that has told its state makes no step; 0 if it has told none."""
+        self._is_paused = False
+        """Whether the unit has told its state: the next unit makes the steps from there on."""
 
     def hold(self) -> None:
         """Keep the elements that come before the state."""
         self._held, self._most, self.is_waiting = {}, _MOST_HELD, True
-        self._late_ns = time.monotonic_ns() + _MOST_HELD_NS
 
     @property
     def is_keeping(self) -> bool:
@@ -68,30 +79,22 @@ class Handover:
         return self._held is not None
 
     @property
-    def _is_late(self) -> bool:
-        return self.is_waiting and time.monotonic_ns() >= self._late_ns
-
-    @property
     def is_still(self) -> bool:
         """Whether no step may begin: the unit waits for a state, or has told its own."""
-        return self.is_waiting or (self._paused_until_ns != 0 and self.pause_ns > 0)
-
-    @property
-    def pause_ns(self) -> int:
-        """The nanoseconds for which a unit that has told its state still makes no step."""
-        return self._paused_until_ns and max(0, self._paused_until_ns - time.monotonic_ns())
+        return self.is_waiting or self._is_paused
 
     def keep(self, inlet: str, element: Element, *, may_drop: bool) -> None:
-        """Keep an element for later steps. Without room the oldest of its inlet is dropped, if it `may_drop`.
-
-        A unit whose state is late always drops: it must not block sources that also feed the unit that it replaces.
-        """
+        """Keep an element for later steps. Without room the oldest of its inlet is dropped, if it `may_drop`."""
         assert self._held is not None
-        kept, is_late = self._held.setdefault(inlet, deque()), self._is_late
+        kept = self._held.setdefault(inlet, _Kept())
         kept.append(element)
-        while (may_drop or is_late) and len(kept) > (self._limit if is_late else self._most):
-            kept.popleft()
+        while may_drop and self._are_too_many(kept, len(kept.elements)):
+            kept.take()
             self._steps.dropped[port_of(inlet)] += 1
+
+    def _are_too_many(self, kept: _Kept, number: int) -> bool:
+        """Whether an inlet has no room for this number of elements."""
+        return number > self._most or (number > self._limit and kept.bytes > MOST_WAITING_BYTES)
 
     def is_full(self, inlet: str) -> bool:
         """Whether an inlet keeps as many elements as may wait for its steps.
@@ -100,29 +103,33 @@ class Handover:
         not wait. A unit that is asked for its state has room for the elements that the state needs, even if no step can
         use them yet.
         """
-        kept = deque[Element]() if self._held is None else self._held.get(inlet, deque())
-        if self._is_late or self._needs(inlet):
+        if self._needs(inlet):
             return False
+        kept = None if self._held is None else self._held.get(inlet)
         if self.is_still:
-            return len(kept) >= _MOST_HELD or (bool(kept) and len(kept) * len(kept[-1].payload) > MOST_WAITING_BYTES)
-        return self._steps.is_full(inlet) or len(kept) >= self._limit
+            return kept is not None and self._are_too_many(kept, len(kept.elements) + 1)
+        return self._steps.is_full(inlet) or (kept is not None and len(kept.elements) >= self._limit)
 
     def waiting(self, port: str) -> int:
         """The number of elements that a port keeps."""
-        if self._held is None:
-            return 0
-        return sum(len(kept) for inlet, kept in self._held.items() if port_of(inlet) == port)
+        return sum(len(kept.elements) for inlet, kept in (self._held or {}).items() if port_of(inlet) == port)
 
     def begin(self, inputs: Mapping[str, GivenInput]) -> None:
-        """Begin a waiting unit's steps at the place of each inlet in `inputs`, else with the elements that came."""
-        self.is_waiting, self._begun = False, None
+        """Begin a waiting unit's steps at the place of each inlet in `inputs`, else with the elements that came.
+
+        Places that are asked for are told later, too, except those of first elements, which become steps.
+        """
+        self.is_waiting = False
+        if self._sought is not None and any(self._sought.values()):
+            self._sought = None
         held = self._held or {}
         for inlet, given in inputs.items():
             if inlet in self._ports.inputs:
                 before = [Element(one.time_ns, one.turn, 0, one.payload) for one in given.elements]
                 received = self._ports.inputs[inlet].inlet
                 received.last = max(received.last, given.done, *(one.moment for one in before))
-                held[inlet] = deque(self._steps.begin_at(inlet, given.done, chain(before, held.get(inlet, ()))))
+                kept = held.get(inlet, _Kept()).elements
+                held[inlet] = _Kept(self._steps.begin_at(inlet, given.done, chain(before, kept)))
         self._held = held
 
     def refill(self) -> None:
@@ -132,31 +139,33 @@ class Handover:
         """
         if self._held is None or self.is_still:
             return
-        self._most = min(self._most, 2 * max(map(len, self._held.values()), default=0) + self._limit)
+        longest = max((len(kept.elements) for kept in self._held.values()), default=0)
+        self._most = min(self._most, 2 * longest + self._limit)
         for inlet, kept in self._held.items():
-            while kept and not self._steps.is_full(inlet):
-                self._steps.put(inlet, kept.popleft(), may_drop=False)
+            while kept.elements and not self._steps.is_full(inlet):
+                self._steps.put(inlet, kept.take(), may_drop=False)
                 self._most = max(self._limit, self._most - _LESS_ROOM)
-        if not any(self._held.values()):
+        if not any(kept.elements for kept in self._held.values()):
             self._held = None
 
-    def ask_places(self, begun: Collection[str]) -> None:
+    def ask_places(self, inlets: Mapping[str, bool]) -> None:
         """Ask for `places`."""
-        self._begun = begun
+        self._sought = inlets
 
     def places(self) -> dict[str, Moment] | None:
         """The asked places, once; None if there is no question, or one place is still unknown."""
-        if self._begun is None:
+        if self._sought is None:
             return None
         found = dict[str, Moment]()
-        for name, port in self._ports.inputs.items():
-            for receiver in port.receivers.values():
-                kept = (self._held or {}).get(name)
-                place = receiver.place if name not in self._begun else kept[0].moment if kept else None
+        for name, is_first in self._sought.items():
+            port = self._ports.inputs.get(name)
+            for receiver in () if port is None else port.receivers.values():
+                kept = (self._held or {}).get(name, _Kept()).elements
+                place = receiver.place if not is_first else kept[0].moment if kept else None
                 if place is None:
                     return None
                 found[name] = place
-        self._begun = None
+        self._sought = None
         return found
 
     def ask_state(self, until: Mapping[str, Moment]) -> None:
@@ -180,12 +189,7 @@ class Handover:
 
     def stay(self) -> None:
         """Continue with the unit's own state: it is not replaced after all."""
-        self._asked, self._paused_until_ns = None, 0
-
-    def end(self) -> None:
-        """If the state was told, make no further step: the next unit makes the steps that wait."""
-        if self._paused_until_ns:
-            self._paused_until_ns = NEVER_NS
+        self._asked, self._is_paused = None, False
 
     def _limit_bytes(self, inputs: Mapping[str, GivenInput]) -> None:
         """Drop the oldest given elements that are too many for a message, of the inlet that has the most bytes."""
@@ -207,15 +211,15 @@ class Handover:
         assert self._asked is not None
         asked, self._asked = self._asked, None
         for inlet, kept in (self._held or {}).items():  # they are part of what is given, even if they have no room
-            while kept:
-                self._steps.put(inlet, kept.popleft(), may_drop=False)
+            while kept.elements:
+                self._steps.put(inlet, kept.take(), may_drop=False)
         inputs = {
             name: self._steps.given(name, port.inlet.last, asked.get(name)) for name, port in self._ports.inputs.items()
         }
         self._limit_bytes(inputs)
         self._ports.say(StateTold(state, inputs, dict(outputs)))
         if state is not None:
-            self._paused_until_ns = time.monotonic_ns() + _MOST_HELD_NS
+            self._is_paused = True
             self._held, self._most = self._held or {}, _MOST_HELD
             for name in self._ports.outputs:
                 self._ports.pause(name)

@@ -165,9 +165,9 @@ class HoldSteps(msgspec.Struct, tag=True):
 
 
 class TellPlaces(msgspec.Struct, tag=True):
-    """Tell `Places` of all inlets, once they are known. The first element is the place of each inlet in `begun`."""
+    """Tell `Places` of these inlets, once all are known. If an inlet is true, its place is its first element."""
 
-    begun: list[str]
+    inlets: dict[str, bool]
 
 
 class TellState(msgspec.Struct, tag=True):
@@ -192,6 +192,11 @@ class GivenInput(msgspec.Struct, frozen=True):
 
     done: Moment
     elements: list[GivenElement] = []
+
+    @property
+    def last(self) -> Moment:
+        """The moment of the last element that the next unit need not receive itself."""
+        return max([self.done, *((one.time_ns, one.turn) for one in self.elements)])
 
 
 class TakeState(msgspec.Struct, tag=True):
@@ -310,7 +315,7 @@ class UnitSign(msgspec.Struct, tag=True):
 
 
 class Places(msgspec.Struct, tag=True):
-    """The moment from which each connected inlet of a unit that holds its steps gets every element."""
+    """The moment from which each inlet that was asked for gets every element."""
 
     moments: dict[str, Moment]
 

@@ -123,15 +123,13 @@ class StepQueue:
             self.dropped[port_of(inlet)] += 1
 
     def given(self, inlet: str, last: Moment, until: Moment | None) -> GivenInput:
-        """Return the place of an inlet, whose last element is `last`, with its elements up to `until`. If that is None,
-        the needed elements are unknown, and only the latest one of past steps is returned.
-        """
+        """Return the place of an inlet, whose last element is `last`, with its elements up to `until`; None: all."""
         waiting = self._waiting.get(inlet, ())
         done = (waiting[0].time_ns, waiting[0].turn - 1) if waiting else last
         latest = self._latest.get(inlet)
-        kept = [] if latest is None else [latest]
+        kept = [*([] if latest is None else [latest]), *waiting]
         if until is not None:
-            kept = [one for one in (*kept, *waiting) if one.moment <= until]
+            kept = [one for one in kept if one.moment <= until]
         return GivenInput(done, [GivenElement(one.time_ns, one.turn, bytes(one.payload)) for one in kept])
 
     def clear(self) -> None:

@@ -13,7 +13,7 @@ from cfgplan.rows import ALL
 from cfgplan_runtime.children import messages
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.failures import Failures
-from cfgplan_runtime.children.handover import NEVER_NS, Handover
+from cfgplan_runtime.children.handover import Handover
 from cfgplan_runtime.children.ports import Ports, UnitInput, UnitOutput
 from cfgplan_runtime.children.program import ProgramCode
 from cfgplan_runtime.children.program_source import names_program
@@ -29,6 +29,10 @@ from cfgplan_runtime.streams.said_qualities import SaidQualities
 _LONGEST_WORK_NS = 1_000_000
 """Nanoseconds of back-to-back steps after which sockets are looked at again."""
 _BLOCKED_NS = 500_000_000
+_SLOW_NS = 100_000_000
+"""A source whose last call took so long tells its counts before the next one, during which it can tell nothing."""
+_NEVER_NS = 1 << 63
+"""A time that never comes."""
 _LATEST_TICK_NS = 100_000_000
 """A source that is later than this skips ticks instead of catching up."""
 
@@ -91,11 +95,15 @@ class UnitChild:
         than that of the unit that it replaces.
         """
         self._is_exhausted = self._is_finishing = self._is_interrupted = self._is_closing = False
-        self._since_ns = NEVER_NS
-        """When the present call of unit code began; NEVER_NS while it is not called."""
+        self._since_ns = _NEVER_NS
+        """When the present call of unit code began; _NEVER_NS while it is not called."""
         self._raised: Exception | None = None
         """The last exception of a source that has given nothing since; the cause if the source then ends."""
         self._tick_ns = 0
+        self._said_elements = 0
+        """The elements that its outputs had given by the last sign of life."""
+        self._is_slow = False
+        """Whether the last call of a source's code took long."""
         self._may_rest = False
         """Whether a source pauses, so that this unit may pause too, and its subscribers do not know it yet."""
         self._is_idle = False
@@ -189,7 +197,7 @@ class UnitChild:
             self._exhaust()
 
     def _close_code(self) -> None:
-        self._since_ns, self._is_closing = NEVER_NS, True
+        self._since_ns, self._is_closing = _NEVER_NS, True
         if self._program is not None:
             self._ports.ends.unwatch(self._program.end)
             self._ports.ends.unwatch(self._program.input)
@@ -215,8 +223,8 @@ class UnitChild:
                 # to the state before.
                 self._results = self._next_step = None
                 self._steps.clear()
-            case messages.TellPlaces(begun):
-                self._handover.ask_places(begun)
+            case messages.TellPlaces(inlets):
+                self._handover.ask_places(inlets)
             case messages.TellState(until):
                 self._handover.ask_state(until)
             case messages.TakeState(state, inputs, outputs) if self._handover.is_waiting:
@@ -227,7 +235,6 @@ class UnitChild:
                 self._handover.stay()
             case messages.Finish():
                 self._ports.drain()
-                self._handover.end()
                 self._is_finishing = True
 
     @property
@@ -281,8 +288,6 @@ class UnitChild:
                 return 0.0
             if self._may_tick:
                 until = min(until, self._tick_ns)
-            elif pause_ns := self._handover.pause_ns:
-                until = min(until, now + pause_ns)
         return max(0.0, (until - now) / 1e9)
 
     def _work(self) -> None:
@@ -306,7 +311,7 @@ class UnitChild:
         self._answer()
         if self._may_rest:
             self._rest()
-        self._since_ns = NEVER_NS
+        self._since_ns = _NEVER_NS
         if self._program is not None:
             self._program.flush()
         self._ports.resume()
@@ -363,8 +368,11 @@ class UnitChild:
             return True
         assert self._code is not None
         self._moment = None
+        if (self._is_slow or not self._said_elements) and self._given_elements > self._said_elements:
+            self._say_status()
         try:
             self._results = self._code.produce()
+            self._is_slow = time.monotonic_ns() - now > _SLOW_NS
             self._raised = None
         except StopIteration:
             if self._raised is not None:
@@ -376,6 +384,10 @@ class UnitChild:
             self._raised = error
             self._fail(error)
         return True
+
+    @property
+    def _given_elements(self) -> int:
+        return sum(output.elements for output in self._ports.outputs.values())
 
     def _exhaust(self) -> None:
         self._is_exhausted = True
@@ -436,6 +448,7 @@ class UnitChild:
         self._said_ns = time.monotonic_ns()
         self._status_ns = self._said_ns + (self._order.idle_sign_ns if self._is_idle else SIGN_NS)
         self._is_idle = True
+        self._said_elements = self._given_elements
         self._tell_repeats()
         self._ports.say(
             messages.UnitSign(

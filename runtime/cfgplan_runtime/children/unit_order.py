@@ -9,6 +9,8 @@ import msgspec
 from cfgplan_runtime.children.messages import UnitOrder
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from cfgplan.domain import Transformation
 
 SIGN_NS = 1_000_000_000
@@ -23,6 +25,16 @@ def order_digest(transformation: Transformation) -> str:
 
     order = msgspec.json.encode(unit_order("", transformation, None), order="deterministic")
     return hashlib.sha256(order).hexdigest()
+
+
+def digest_of(path: Path) -> str | None:
+    """The SHA-256 of a source file; None if it can't be read."""
+    import hashlib
+
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError:
+        return None
 
 
 def unit_order(unit: str, transformation: Transformation, state: bytes | None) -> UnitOrder:

@@ -10,8 +10,8 @@ from types import MappingProxyType
 
 from cfgplan.domain import ComputationUnit, Host, Publication, Subscription, Transformation
 from cfgplan_runtime.children.messages import Release
-from cfgplan_runtime.children.unit_order import unit_order
-from cfgplan_runtime.fleet.agent import digest_of, source_file
+from cfgplan_runtime.children.unit_order import digest_of, unit_order
+from cfgplan_runtime.fleet.agent import source_file
 from cfgplan_runtime.fleet.orders import (
     CloseTopicOrder,
     CutOrder,

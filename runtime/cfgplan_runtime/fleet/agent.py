@@ -5,12 +5,12 @@ It outlives managers: units keep running without one.
 
 from __future__ import annotations
 
-import hashlib
 import secrets
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
+from math import inf
 from pathlib import Path
 from typing import Literal
 
@@ -21,6 +21,7 @@ from cfgplan.domain import MANAGER
 from cfgplan.errors import InputError
 from cfgplan_runtime.children.messages import Export, Import, Marked, Release, TellMark
 from cfgplan_runtime.children.program_source import ProgramSource
+from cfgplan_runtime.children.unit_order import digest_of
 from cfgplan_runtime.fleet import orders
 from cfgplan_runtime.fleet.certificates import Validity, ending
 from cfgplan_runtime.fleet.clocks import HostClock, clock_key
@@ -39,16 +40,10 @@ from cfgplan_runtime.supervision.backend import Inlet
 
 USAGE_PERIOD_S = 0.5
 _MOST_SUPERSEDED = 16
+_SILENCE_S = 5.0
+"""Seconds without a message of the manager after which the hand-overs of states that it has left are undone."""
 LINK_S = 2.0
 """Seconds that a starting agent waits for its first link."""
-
-
-def digest_of(path: Path) -> str | None:
-    """The SHA-256 of a source file; None if it can't be read."""
-    try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError:
-        return None
 
 
 def source_file(source: str, folder: Path) -> Path | None:
@@ -101,6 +96,8 @@ class Agent:
         self._lost = 0
         """Elements that had not reached other hosts when their crossings ended, not yet reported to the manager."""
         self._orders: deque[orders.Order] = deque()
+        self._heard_s = inf
+        """When the last message of the obeyed manager came; infinite once the hand-overs that it left are undone."""
         self._managers = Lives()
         self._is_left = False
         """Whether the present manager has ended its run. Its key may stay alive for a moment."""
@@ -221,6 +218,7 @@ class Agent:
                 self._obey(self._orders.popleft())
         self._stop_due()
         now_s = time.monotonic()
+        self._undo_handovers(now_s)
         self._tell_superseded(now_s)
         if self._validity is not None and (ends := self._validity.warning()) is not None:
             self._tell_user(ending(ends))
@@ -267,6 +265,7 @@ class Agent:
             return
         if channel is not self._channel:
             self._enter(channel)
+        self._heard_s = time.monotonic()
         self._orders += heard
         self._is_left = self._is_left or any(isinstance(order, orders.LeaveOrder) for order in heard)
 
@@ -371,8 +370,8 @@ class Agent:
             case orders.HoldOrder(unit):
                 self._note_handover(unit, "waits")
                 backend.hold(unit)
-            case orders.AskPlacesOrder(unit, begun):
-                backend.ask_places(unit, begun)
+            case orders.AskPlacesOrder(unit, inlets):
+                backend.ask_places(unit, inlets)
             case orders.AskStateOrder(unit, until, successor):
                 self._note_handover(unit, "is asked", successor)
                 backend.ask_state(unit, until, successor)
@@ -418,6 +417,19 @@ class Agent:
     def _note_handover(self, unit: str, part: Literal["waits", "has it", "is asked"], successor: str = "") -> None:
         if unit in self._held.units:
             self._held.units[unit].handover, self._held.units[unit].successor = part, successor
+
+    def _undo_handovers(self, now_s: float) -> None:
+        """If the manager is silent, let the units continue that pause since they have told it their state, and end the
+        new units that wait for one. A manager acknowledges each report of usage, also while it waits for units.
+        """
+        if now_s - self._heard_s < _SILENCE_S:
+            return
+        self._heard_s = inf
+        for unit, held in self._held.units.items():
+            if held.handover == "is asked" and held.stop is None:
+                self._backend.give_state(unit, None, {}, {})
+            elif held.handover == "waits":
+                self._backend.kill(unit)
 
     def _hold_wire(self, order: orders.ConnectOrder) -> None:
         held = self._held

@@ -218,8 +218,8 @@ class FleetBackend:
     def hold(self, unit: str) -> None:
         self._presence.say(self._units.get(unit), orders.HoldOrder(unit))
 
-    def ask_places(self, unit: str, begun: Collection[str]) -> None:
-        self._presence.say(self._units.get(unit), orders.AskPlacesOrder(unit, list(begun)))
+    def ask_places(self, unit: str, inlets: Mapping[str, bool]) -> None:
+        self._presence.say(self._units.get(unit), orders.AskPlacesOrder(unit, dict(inlets)))
 
     def ask_state(self, unit: str, until: Mapping[str, Moment], successor: str) -> None:
         self._presence.say(self._units.get(unit), orders.AskStateOrder(unit, dict(until), successor))

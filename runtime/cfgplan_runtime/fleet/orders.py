@@ -134,7 +134,7 @@ class HoldOrder(msgspec.Struct, tag=True):
 
 class AskPlacesOrder(msgspec.Struct, tag=True):
     unit: str
-    begun: list[str]
+    inlets: dict[str, bool]
 
 
 class AskStateOrder(msgspec.Struct, tag=True):

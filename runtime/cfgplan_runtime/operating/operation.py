@@ -261,6 +261,7 @@ class Operation(Closable):
             reloads=settings.reloads,
             told=settings.told,
         )
+        self.manager.listen(self._sources.hear)
         self._sources.look_at(world.environment.library)
         if settings.beside is not None:
             stack.enter_context(settings.beside(self))

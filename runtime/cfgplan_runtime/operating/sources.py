@@ -15,9 +15,12 @@ from cfgplan.errors import Fault
 from cfgplan.onward import grouped
 from cfgplan.transformations import Transformation
 from cfgplan_runtime.children.source_faults import code_path
+from cfgplan_runtime.children.unit_order import digest_of
 from cfgplan_runtime.lifecycle.changes import FaultyCode, RestartUnits
 from cfgplan_runtime.lifecycle.file_watch import FileWatch
+from cfgplan_runtime.lifecycle.reports import Report, UnitEvent
 from cfgplan_runtime.lifecycle.review_sentences import named
+from cfgplan_runtime.supervision.events import UnitDied, UnitReady, UnitStopped
 
 SourceCheck: TypeAlias = Callable[[Transformation, Path], Fault | None]
 """What keeps units of a transformation from being started, by its source; files are relative to the folder."""
@@ -44,7 +47,7 @@ class Sources(FileWatch):
     None no code is checked, since other computers have it. `request` is called when the set of transformations that can
     be started changes, `tell` with each new fault. Modules with dotted names are watched if they are found; imports of
     unit code are not. If it `reloads`, it requests a restart of units whose code has changed. The user has
-    already seen the faults in `told`, by label.
+    already seen the faults in `told`, by label. Let it `hear` the manager, to know with which code units have started.
     """
 
     def __init__(
@@ -59,18 +62,31 @@ class Sources(FileWatch):
         reloads: bool = False,
         told: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
-        super().__init__(self._labels_of_files, self._hear)
+        super().__init__(lambda: self._labels_of_files(library()), self._hear)
         self._folder, self._check = folder, check
         self._library, self._running, self._request, self._say = library, running, request, tell
         self._reloads, self._shown = reloads, told
         self._faults: dict[str, str] = {}
         self._lock = threading.Lock()
         self._seen: Sequence[Transformation] | None = None
+        self._digests: Mapping[Path, str | None] = {}
+        """The digest of each file at the last look."""
+        self._started: dict[str, Mapping[Path, str | None]] = {}
+        """By unit: these digests at its start."""
+
+    def hear(self, report: Report) -> None:
+        """Listen to a manager: note the code of a unit that has started."""
+        match report:
+            case UnitEvent(UnitReady(unit)):
+                self._started[unit] = self._digests
+            case UnitEvent(UnitDied(unit) | UnitStopped(unit)):
+                self._started.pop(unit, None)
 
     def look_at(self, library: Sequence[Transformation], changed: Collection[str] = ()) -> None:
         """Look at all sources of a library. `changed` are the labels whose files have changed."""
         with self._lock:
             self._seen = library
+            self._digests = {path: digest_of(path) for path in self._labels_of_files(library)}
             self._note(self.faults_of(library), changed)
 
     def take_in_new_ones(self) -> None:
@@ -105,21 +121,23 @@ class Sources(FileWatch):
         if faults != before or changed:
             self._request(FaultyCode(dict(faults), tuple(sorted(changed))))
 
-    def _labels_of_files(self) -> dict[Path, list[str]]:
+    def _labels_of_files(self, library: Iterable[Transformation]) -> dict[Path, list[str]]:
         labels = defaultdict(list)
-        for one in self._library():
+        for one in library:
             path = code_path(one.source, self._folder)
             if path is not None:
                 labels[path].append(one.label)
         return labels
 
     def _hear(self, changed: frozenset[Path]) -> None:
-        labels = {path: labels for path, labels in self._labels_of_files().items() if path in changed}
+        library = self._library()
+        labels = {path: labels for path, labels in self._labels_of_files(library).items() if path in changed}
         if labels:
-            self.look_at(self._library(), [label for each in labels.values() for label in each])
+            self.look_at(library, [label for each in labels.values() for label in each])
         for path, of_file in sorted(labels.items()):
-            known = [unit for unit in self._running() if unit.transformation in of_file]
-            units = [unit.id for unit in known if not unit.standby]
+            now = self._digests[path]
+            known = [unit.id for unit in self._running() if unit.transformation in of_file and not unit.standby]
+            units = [unit for unit in known if self._started.get(unit, {}).get(path) != now]
             if not units or self._faults.keys() & {*of_file}:
                 continue
             if self._reloads:

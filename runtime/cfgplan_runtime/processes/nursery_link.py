@@ -55,8 +55,15 @@ class NurseryLink:
     def is_open(self) -> bool:
         return self._control is not None
 
+    @property
+    def is_waiting(self) -> bool:
+        """Whether messages wait until the socket can be written."""
+        return self._control is not None and self._control.is_waiting
+
     def open(self) -> socket.socket:
-        """Start a nursery. Returns the socket to watch; call `hear` when it is readable. Raises OSError."""
+        """Start a nursery. Returns the socket to watch; call `hear` when it is readable, and while messages wait also
+        when it can be written. Raises OSError.
+        """
         self._process, ours = start_helper(_CODE, self._run, *self._preload)
         self._control = ControlConnection(ours, FromNursery)
         return ours

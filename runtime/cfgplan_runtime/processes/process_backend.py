@@ -132,6 +132,8 @@ class ProcessBackend:
             timeout_s = left_s if timeout_s is None else min(timeout_s, left_s)
         if self._events:
             timeout_s = 0.0
+        if self._nursery_socket is not None:
+            self._ends.write(self._nursery_socket, is_waiting=self._nursery.is_waiting)
         self._ends.wait(timeout_s)
         if self._outlets_due_s is not None and self._outlets_due_s <= self.now():
             self._start_outlets()
@@ -250,8 +252,8 @@ class ProcessBackend:
     def hold(self, unit: str) -> None:
         self._tell_unit(unit, messages.HoldSteps())
 
-    def ask_places(self, unit: str, begun: Collection[str]) -> None:
-        self._tell_unit(unit, messages.TellPlaces(list(begun)))
+    def ask_places(self, unit: str, inlets: Mapping[str, bool]) -> None:
+        self._tell_unit(unit, messages.TellPlaces(dict(inlets)))
 
     def ask_state(self, unit: str, until: Mapping[str, Moment], successor: str) -> None:  # noqa: ARG002
         self._tell_unit(unit, messages.TellState(dict(until)))

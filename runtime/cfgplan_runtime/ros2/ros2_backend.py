@@ -223,7 +223,7 @@ class Ros2Backend:
     def hold(self, unit: str) -> None:
         """Do nothing: nodes do not take a state."""
 
-    def ask_places(self, unit: str, begun: Collection[str]) -> None:  # noqa: ARG002
+    def ask_places(self, unit: str, inlets: Mapping[str, bool]) -> None:  # noqa: ARG002
         self._events.append(events.PlacesTold(unit, {}))
 
     def ask_state(self, unit: str, until: Mapping[str, Moment], successor: str) -> None:  # noqa: ARG002

@@ -193,10 +193,10 @@ class Backend(Protocol):
     def hold(self, unit: str) -> None:
         """Let a started unit keep the elements that it gets, and make no step before `give_state`."""
 
-    def ask_places(self, unit: str, begun: Collection[str]) -> None:
-        """Ask a unit from which moment on it gets every element: PlacesTold follows once all its inlets know.
+    def ask_places(self, unit: str, inlets: Mapping[str, bool]) -> None:
+        """Ask a unit from which moment on these inlets get every element: PlacesTold follows once all of them know.
 
-        The inlets in `begun` know it from their first element on.
+        Inlets that are true know it from their first element on.
         """
 
     def ask_state(self, unit: str, until: Mapping[str, Moment], successor: str) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Generator, Mapping
+from typing import TypeAlias
 
 import msgspec
 
@@ -56,10 +57,10 @@ class HoldUnit(Command, frozen=True):
 
 
 class AskPlaces(Command, frozen=True):
-    """Ask a unit from which moment on its inlets get every element. Inlets in `begun` answer with their first one."""
+    """Ask a unit from which moment on these inlets get every element. If an inlet is true, that is its first one."""
 
     unit: str
-    begun: tuple[str, ...]
+    inlets: Mapping[str, bool]
 
 
 class AskState(Command, frozen=True):
@@ -88,6 +89,13 @@ class TellOf(Command, frozen=True):
     """Report an event of the update."""
 
     event: StateNotExact
+
+
+class Doubt(Command, frozen=True):
+    """Report an event once its unit has told its places, if one is later than the moment `unless` has for its inlet."""
+
+    event: StateNotExact
+    unless: Mapping[str, Moment]
 
 
 class StopUnit(Command, frozen=True):
@@ -150,8 +158,15 @@ class Commit(Command, frozen=True):
     """Note that all new units are ready and connected: from here on nothing is undone."""
 
 
+class Undo(Command, frozen=True):
+    """Note that the update is undone from here on."""
+
+
 class WaitUntil(Command, frozen=True):
     """Wait until the running configuration fulfils a condition, at most `patience_s`."""
 
     holds: Callable[[], bool]
     patience_s: float
+
+
+Commands: TypeAlias = Generator[Command, None, None]

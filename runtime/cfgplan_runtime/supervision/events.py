@@ -139,7 +139,7 @@ class UnitStatus(Event, frozen=True):
 
 
 class PlacesTold(Event, frozen=True):
-    """The moment from which each inlet of a unit that holds its steps gets every element."""
+    """The moment from which each inlet of a unit that was asked for gets every element."""
 
     unit: str
     moments: dict[str, Moment]

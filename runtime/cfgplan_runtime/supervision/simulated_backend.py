@@ -259,7 +259,7 @@ class SimulatedBackend:
         if unit in self.units:
             self.units[unit].is_held = True
 
-    def ask_places(self, unit: str, begun: Collection[str]) -> None:  # noqa: ARG002
+    def ask_places(self, unit: str, inlets: Mapping[str, bool]) -> None:  # noqa: ARG002
         self.calls.append(("ask places", unit))
         self._later(0.0, PlacesTold(unit, {}))
 

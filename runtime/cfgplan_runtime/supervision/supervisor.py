@@ -20,6 +20,7 @@ from cfgplan.errors import InvalidValueError
 from cfgplan_runtime.errors import ApplyError, RuntimeFaultError, StaleChangeSetError
 from cfgplan_runtime.supervision import commands, events, updates
 from cfgplan_runtime.supervision.backend import Backend, Failures, Found, Inlet
+from cfgplan_runtime.supervision.handover_answers import HandoverAnswers
 from cfgplan_runtime.supervision.listeners import LOG
 from cfgplan_runtime.supervision.observation import Observation, UnitRecord
 from cfgplan_runtime.supervision.spares import MEGABYTE, Spares
@@ -50,7 +51,7 @@ If it does not yet, it wakes the backend as soon as it does.
 class Supervisor:
     """Holds the running configuration in `environment`, which `backend` runs; `report` gets every event, in order.
 
-    Raises InvalidValueError if the backend lacks a method. The update under way reads it as `updates.Actual`; only the
+    Raises InvalidValueError if the backend lacks a method. The update under way reads it as `progress.Actual`; only the
     supervisor changes it.
     """
 
@@ -80,8 +81,7 @@ class Supervisor:
         self._records: dict[str, UnitRecord] = {}
         self._states: dict[str, bytes] = {}
         """The last state of the units of a transformation, by the state's name."""
-        self._answers: dict[str, events.PlacesTold | events.StateTold] = {}
-        """The last answer of each unit that takes part in a hand-over of a state."""
+        self.answers = HandoverAnswers()
         self._library: dict[str, Transformation] = {}
         self._stopping: dict[str, _Stopping] = {}
         """Units that were told to stop before this supervisor began."""
@@ -215,10 +215,6 @@ class Supervisor:
         """The wires of inlets, by inlet."""
         return self.wiring.feeds
 
-    def answer(self, unit: str) -> events.PlacesTold | events.StateTold | None:
-        """The answer of a unit to the last question of a hand-over; None if none has come yet."""
-        return self._answers.get(unit)
-
     def failure(self, unit: str) -> str | None:
         """The error of a unit's last failed step; None if none has failed."""
         record = self._records.get(unit)
@@ -274,12 +270,8 @@ class Supervisor:
         may_be_undone = True
         try:
             while True:
-                if fault is not None and may_be_undone:
-                    may_be_undone = False
-                    command = update.throw(fault)
-                else:
-                    command = next(update)
-                may_be_undone = may_be_undone and not isinstance(command, commands.Commit)
+                command = update.throw(fault) if fault is not None and may_be_undone else next(update)
+                may_be_undone = may_be_undone and not isinstance(command, commands.Commit | commands.Undo)
                 fault = self._fault_of(command, may_be_undone=may_be_undone)
         except StopIteration as end:
             carried: updates.CarriedOut = end.value
@@ -314,11 +306,11 @@ class Supervisor:
                 self.backend.deactivate(unit_id)
             case commands.HoldUnit(unit_id):
                 self.backend.hold(unit_id)
-            case commands.AskPlaces(unit_id, begun):
-                self._answers.pop(unit_id, None)
-                self.backend.ask_places(unit_id, begun)
+            case commands.AskPlaces(unit_id, inlets):
+                self.answers.ask(command)
+                self.backend.ask_places(unit_id, inlets)
             case commands.AskState(unit_id, until, successor):
-                self._answers.pop(unit_id, None)
+                self.answers.ask(command)
                 self.backend.ask_state(unit_id, until, successor)
             case commands.GiveState(unit_id, state, inputs, outputs):
                 if state is None and unit_id in self._library:  # it has not died meanwhile
@@ -326,6 +318,9 @@ class Supervisor:
                 self.backend.give_state(unit_id, state, inputs, outputs)
             case commands.TellOf(event):
                 self._report(event)
+            case commands.Doubt(event):
+                self.answers.doubt(command)
+                self._report_settled(event.unit)
             case commands.StopUnit(unit_id):
                 self.wiring.forget_inputs(unit_id)
                 self.backend.stop(unit_id)
@@ -453,7 +448,8 @@ class Supervisor:
             case events.UnitStatus(unit):
                 self._note_status(unit, event)
             case events.PlacesTold(unit) | events.StateTold(unit) if unit in self._records:
-                self._answers[unit] = event
+                self.answers.note(event)
+                self._report_settled(unit)
                 if isinstance(event, events.StateTold):
                     self._keep_state(unit, event.state)
                 return False
@@ -487,6 +483,11 @@ class Supervisor:
         record.note_status(status, self.backend.now())
         self._keep_state(unit, status.state)
 
+    def _report_settled(self, unit: str) -> None:
+        settled = self.answers.settled(unit)
+        if settled is not None:
+            self._report(settled)
+
     def _keep_state(self, unit: str, state: bytes | None) -> None:
         name = self._records[unit].state_name
         if state and name is not None:
@@ -500,7 +501,7 @@ class Supervisor:
         self.wiring.forget_unit(unit)
         self.taps.lose_unit(unit)
         self._records.pop(unit, None)
-        self._answers.pop(unit, None)
+        self.answers.forget(unit)
         self._library.pop(unit, None)
         self._found_s.pop(unit, None)
 
