@@ -59,8 +59,9 @@ TIME_TO_DUMP_S = 0.2
 
 @dataclass(frozen=True, slots=True)
 class Patience:
-    """The times that the steps of an update may take, in seconds: a start `start_s`, a stop `stop_s`, then the end of a
-    process `kill_s`. Followers of topics, such as a recording, may take `follow_s` until they are connected.
+    """The times that the steps of an update may take, in seconds: a start `start_s`, as the activation of a lifecycle
+    node of ROS 2, a stop `stop_s`, then the end of a process `kill_s`. Followers of topics, such as a recording, may
+    take `follow_s` until they are connected.
 
     If the new source of an input sends nothing for `switch_s`, the input switches to it when the old source is stopped.
     """
@@ -87,6 +88,10 @@ class Actual(Protocol):
     @property
     def inactive(self) -> Set[str]:
         """The units that give nothing, since they are not connected yet."""
+
+    @property
+    def activating(self) -> Set[str]:
+        """The units that were told to begin, and do not work yet."""
 
     @property
     def topics(self) -> Mapping[str, str | None]:
@@ -260,18 +265,22 @@ class _Update:
             if not unit.standby:
                 yield StartUnit(unit, self.after.transformation[unit.transformation])
         awaited = {*self.started, *(self.wired() & actual.alive - actual.ready)}
-        yield WaitUntil(
-            lambda: bool(self.dead()) or not self.loading(awaited) or actual.is_abandoned, self.patience.start_s
-        )
-        self.fail_if_dead()
-        slow = self.loading(awaited)
-        if slow and actual.is_abandoned:
-            raise _StepFailedError(f"it was given up while {_were(slow)} starting", slow, is_abandoned=True)
+        slow = yield from self.await_none(lambda: self.loading(awaited), "starting")
         if slow:
             for unit_id in slow:
                 yield Dump(unit_id)
             yield WaitUntil(lambda: actual.is_abandoned, TIME_TO_DUMP_S)
             raise _StepFailedError(f"{_were(slow)} not ready within {self.patience.start_s:g} s", slow)
+
+    def await_none(self, late: Callable[[], list[str]], doing: str) -> Generator[Command, None, list[str]]:
+        """Wait until no unit is late with its start or activation. Returns those that are late nevertheless."""
+        actual = self.actual
+        yield WaitUntil(lambda: bool(self.dead()) or not late() or actual.is_abandoned, self.patience.start_s)
+        self.fail_if_dead()
+        slow = late()
+        if slow and actual.is_abandoned:
+            raise _StepFailedError(f"it was given up while {_were(slow)} {doing}", slow, is_abandoned=True)
+        return slow
 
     def rewire(self) -> Commands:
         actual, wanted = self.actual, self.wanted
@@ -288,7 +297,7 @@ class _Update:
                 self.rewired[inlet] = None if fed is None else fed.stream
                 yield Connect(stream, inlet)
         # Elements that a unit gives before it is connected would be lost, such as messages that a broker has kept.
-        yield from self.activate(unit.id for unit in self.after.units)
+        yield from self.begin()
         paused = set[str]()
         for unit, before in heirs.items():
             yield from self.await_others(before, unit, heirs)
@@ -322,6 +331,23 @@ class _Update:
         for unit in sorted(new, key=lambda unit: (not inputs[unit], unit)):
             self.activated.add(unit)
             yield ActivateUnit(unit)
+
+    def begin(self) -> Commands:
+        """Activate all inactive units. Sources begin once all others work: a lifecycle node takes a while, and elements
+        that come before are lost.
+        """
+        units, library = self.after.units, self.after.transformation
+        inner = [unit.id for unit in units if library[unit.transformation].inputs]
+        for group in (inner, [unit.id for unit in units]):
+            yield from self.activate(group)
+            if self.activating():
+                slow = yield from self.await_none(self.activating, "being activated")
+                if slow:
+                    raise _StepFailedError(f"{_were(slow)} not active within {self.patience.start_s:g} s", slow)
+
+    def activating(self) -> list[str]:
+        """The units that this update has told to begin, and that do not work yet."""
+        return sorted(self.activated & self.actual.activating)
 
     def heirs(self) -> dict[str, str]:
         """Return the new units that continue from the place of an ending unit, each with that unit, the upstream
