@@ -112,6 +112,53 @@ class Numbered(Node):
         self.numbers.publish(message)
 
 
+class Managed(LifecycleNode):
+    """Numbers the fiftieths of a second while it is active, in messages with the time of each as stamp, or without one
+    (`plain`): all such nodes give the same. Prints the first number, and by the monotonic clock in ns when it becomes
+    active, inactive, and ends.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("managed")
+        self.is_plain = self.declare_parameter("way", "stamped").value == "plain"
+        self.rate = self.declare_parameter("rate", 50).value
+        self.number = 0
+        time.sleep(self.declare_parameter("sleep", 0.0).value)
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self.numbers = self.create_lifecycle_publisher(Int64 if self.is_plain else PointStamped, "n", DEEP)
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        told(f"active {time.monotonic_ns()}")
+        self.number = int(time.time() * self.rate)
+        told(f"first {self.number}")
+        self.timer = self.create_timer(0.1 / self.rate, self.give)
+        result = super().on_activate(state)
+        self.publish()
+        return result
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self.destroy_timer(self.timer)
+        told(f"inactive {time.monotonic_ns()}")
+        return super().on_deactivate(state)
+
+    def give(self) -> None:
+        while time.time() * self.rate >= self.number + 1:
+            self.number += 1
+            self.publish()
+
+    def publish(self) -> None:
+        if self.is_plain:
+            self.numbers.publish(Int64(data=self.number))
+            return
+        message = PointStamped()
+        message.header.frame_id = str(self.number)
+        message.header.stamp.sec, rest = divmod(self.number, self.rate)
+        message.header.stamp.nanosec = rest * (10**9 // self.rate)
+        self.numbers.publish(message)
+
+
 class Detector(Node):
     """Passes each message on after `delay` seconds. The numbers have this `way`."""
 
@@ -144,12 +191,20 @@ class Tracker(Node):
         self.create_subscription(Int64 if is_plain else PointStamped, "x", note, DEEP)
 
 
+def told(line: str) -> None:
+    print(line, flush=True)
+
+
 def main() -> None:
     rclpy.init()
-    kinds = (Camera, Worker, Prepared, Clock, Listener, Numbered, Detector, Tracker)
+    kinds = (Camera, Worker, Prepared, Clock, Listener, Numbered, Managed, Detector, Tracker)
     node = {each.__name__.lower(): each for each in kinds}[sys.argv[1]]()
-    with suppress(KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
-        rclpy.spin(node)
+    try:
+        with suppress(KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
+            rclpy.spin(node)
+    finally:
+        if isinstance(node, Managed):
+            told(f"ended {time.monotonic_ns()}")
 
 
 if __name__ == "__main__":

@@ -83,3 +83,10 @@ def test_a_graph_without_nodes_is_refused_with_what_may_be_wrong(looking: Any) -
         looking(Helper(graph()))
     with pytest.raises(InputError, match=r"domain 7 \(rmw_fake\) shows no node yet, though /lidar run here"):
         looking(Helper(graph()), "/lidar")
+
+
+def test_parameters_that_no_file_can_set_are_left_out(looking: Any) -> None:
+    """A run would refuse an empty list: ROS 2 gives the node no value for it."""
+    parameters = {"rate": 15.0, "frames": [], "gains": [1.5], "unset": None, "silent": False}
+    found = looking(Helper(Graph([NodeTold("/lidar", parameters=parameters)], [], [], True)), "/lidar")
+    assert found.nodes[0].parameters == {"rate": 15.0, "gains": [1.5], "silent": False}

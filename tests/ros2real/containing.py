@@ -55,6 +55,7 @@ class Container(Node):
             return answer
         del self.loaded[wanted.unique_id]
         self.own_executor.remove_node(node)
+        print(f"unloaded {node.get_fully_qualified_name()}", flush=True)  # noqa: T201
         node.destroy_node()
         answer.success = True
         return answer

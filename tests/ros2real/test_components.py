@@ -133,6 +133,19 @@ def test_a_component_that_can_not_be_loaded_is_told_with_what_its_container_says
         run.communicate()
 
 
+def test_a_component_that_refuses_to_be_configured_is_unloaded_and_the_others_stay(tmp_path: Path) -> None:
+    text = ENVIRONMENT.replace("Shouter{group} idle:=/other", "Worker{group}\n    params: {{lame: true}}")
+    path = tmp_path / "env.yaml"
+    path.write_text(text.format(group="@eyes"))
+    with running("--middleware", "ros2", path) as run:
+        await_event(run, "UnitPrinted", line="unloaded /shouter_1")
+        died = await_event(run, "UnitDied")
+        assert died["cause"] == "/shouter_1 can't be configured: it is unconfigured"
+        assert died["unit"] == "shouter.1"
+        run.terminate()
+        run.communicate()
+
+
 def test_a_container_that_does_not_unload_a_component_is_ended_and_the_others_are_loaded_anew(
     tmp_path: Path, observer: Observer
 ) -> None:

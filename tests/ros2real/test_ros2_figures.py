@@ -54,6 +54,12 @@ def test_an_input_that_is_led_to_and_fro_between_detectors_gets_each_number_once
     assert heard.lost == 0 or way == "best_effort"
 
 
+def test_a_lifecycle_node_is_replaced_without_a_loss_and_deactivated() -> None:
+    found = experiment("replacing").replaced("stamped, beside a slow one", 2)
+    assert (found.lost, found.repeated, found.missed, found.deactivated) == (0, 0, 0, 2)
+    assert max(found.both_s) < experiment("replacing").SLOW_S
+
+
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler for the shim")
 def test_a_subscription_that_is_moved_without_a_relay_gets_no_number_twice() -> None:
     found, cpu_us = experiment("moving").moved("stamp", 4)

@@ -82,6 +82,9 @@ def test_nodes_that_are_run_as_processes_are_told_of_their_middleware(
         ),
         ("node:./talking.py talker", "component:talking/Talker@a-b", "talker: `a-b` can't be the name of a container"),
         ("rate: 100", "rate: null", "talker: params: rate: `None` can't be a parameter of ROS 2"),
+        ("rate: 100", "rate: []", "talker: params: rate: `[]` can't be a parameter of ROS 2"),
+        ("rate: 100", "rate: {a: {}}", "talker: params: rate.a: `{}` can't be a parameter of ROS 2"),
+        ("rate: 100", f"rate: {2**63}", f"talker: params: rate: `{2**63}` can't be a parameter of ROS 2"),
     ],
 )
 def test_what_is_wrong_is_told_before_anything_starts(

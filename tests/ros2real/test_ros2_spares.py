@@ -13,7 +13,7 @@ import psutil
 import pytest
 from cfgplan_runtime import ApplyError, Runtime
 from cfgplan_runtime.ros2.ros2_backend import Ros2Backend
-from cfgplan_runtime.supervision.events import Event, SpareLost, SparePrepared, SpareUsed, UnitDied, UnitPrinted
+from cfgplan_runtime.supervision.events import Event, SpareLost, SparePrepared, SpareUsed, UnitDied
 from operated_world import PATIENCE_S, eventually
 from ros2_words import NODES, Observer, command_of
 from unit_signals import signal_unit
@@ -104,11 +104,10 @@ def test_a_lifecycle_node_is_configured_and_activated(runtime: Runtime, observer
 def test_a_lifecycle_node_that_can_not_be_configured_is_told_of(
     runtime: Runtime, told: Callable[[type[Event]], Event]
 ) -> None:
-    with pytest.raises(ApplyError, match="died"):
+    cause = "/worker_1 can't be configured: it is unconfigured"
+    with pytest.raises(ApplyError, match=f"worker.1 died: {cause}"):
         begin(runtime, replace(WORKER, params={"lame": True}))
-    line = told(UnitPrinted)
-    while "can't be configured: it is unconfigured" not in str(line):
-        line = told(UnitPrinted)
+    assert told(UnitDied) == UnitDied("worker.1", cause)
 
 
 @pytest.mark.parametrize("transformation", [WORKER, SHOUTER], ids=["lifecycle", "warm"])

@@ -108,6 +108,7 @@ class House:
         self.alive: set[str] = set()
         self.ready: Set[str] = self.alive
         self.inactive: set[str] = set()
+        self.activating: set[str] = set()
         self.topics: dict[str, str | None] = {}
         self.lost_hosts: set[str] = set()
         self.cause_of_death: dict[str, str] = {}

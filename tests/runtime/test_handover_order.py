@@ -153,6 +153,7 @@ def test_a_state_counts_as_not_exact_only_if_an_element_is_missing(network: str,
         assert house.timed_out.count(0.5) == 1
         if is_lost:
             house.cameras["cam.1"].give()
+        house.cameras["cam.1"].turn()
         house.blocked = set()
         house.go_on(300)
         house.settle()

@@ -78,6 +78,7 @@ class Scene:
         self.alive = set(self.environment.unit)
         self.ready = set(self.environment.unit)
         self.inactive: set[str] = set()
+        self.activating: set[str] = set()
         self.lost_hosts: set[str] = set()
         opened = wanted_topics(self.environment) if self.environment.units else {}
         self.topics = dict(opened)

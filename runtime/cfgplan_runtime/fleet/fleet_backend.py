@@ -209,8 +209,9 @@ class FleetBackend:
     def kill(self, unit: str, *, dump: bool = False) -> None:
         self._presence.say(self._units.get(unit), orders.KillOrder(unit, dump))
 
-    def activate(self, unit: str) -> None:
+    def activate(self, unit: str) -> bool:
         self._presence.say(self._units.get(unit), orders.ActivateOrder(unit, is_active=True))
+        return False
 
     def deactivate(self, unit: str) -> None:
         self._presence.say(self._units.get(unit), orders.ActivateOrder(unit, is_active=False))

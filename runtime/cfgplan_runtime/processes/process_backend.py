@@ -243,8 +243,9 @@ class ProcessBackend:
         if child is not None:
             self._nursery.kill(child.serial, dump=dump)
 
-    def activate(self, unit: str) -> None:
+    def activate(self, unit: str) -> bool:
         self._tell_unit(unit, messages.Activate())
+        return False
 
     def deactivate(self, unit: str) -> None:
         self._tell_unit(unit, messages.Deactivate())

@@ -180,8 +180,9 @@ class Ros1Backend:
         if node is not None and not dump:
             self._end(node, NodeProcess.kill)
 
-    def activate(self, unit: str) -> None:
+    def activate(self, unit: str) -> bool:  # noqa: ARG002
         """Do nothing: nodes work as soon as they run."""
+        return False
 
     def deactivate(self, unit: str) -> None:
         """Do nothing: nodes work as long as they run."""

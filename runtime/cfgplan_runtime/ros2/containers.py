@@ -66,6 +66,9 @@ class Containers:
     def __contains__(self, unit: str) -> bool:
         return unit in self._components
 
+    def is_loaded(self, unit: str) -> bool:
+        return self._components[unit].number is not None
+
     def add(self, unit: str, ros: Ros2Unit) -> None:
         """Load a unit's component into its container, and start the container first if it does not run.
 

@@ -28,7 +28,8 @@ class Attend(msgspec.Struct, tag=True):
 
     With `waits` it is a cold spare of a lifecycle node, which is only configured. With `asks` the helper calls the node
     each second and reports its answers. With `is_watched` the helper reports when the node has left the graph. With
-    `has_clock` the node's parameters say which clock it goes by.
+    `has_clock` the node's parameters say which clock it goes by. A lifecycle node is configured; with `is_active` it
+    was activated before, and is to be active.
     """
 
     unit: str
@@ -41,6 +42,7 @@ class Attend(msgspec.Struct, tag=True):
     waits: bool = False
     is_watched: bool = False
     has_clock: bool = False
+    is_active: bool = False
 
 
 class Load(msgspec.Struct, tag=True):
@@ -77,10 +79,17 @@ class EndContainer(msgspec.Struct, tag=True):
 
 
 class Begin(msgspec.Struct, tag=True):
-    """A cold spare is a unit from now on: activate it."""
+    """A cold spare is a unit from now on."""
 
     spare: str
     unit: str
+
+
+class ChangeState(msgspec.Struct, tag=True):
+    """Activate a unit's node, or deactivate it, if it has a lifecycle."""
+
+    unit: str
+    is_active: bool
 
 
 class Listening(msgspec.Struct, tag=True):
@@ -90,9 +99,20 @@ class Listening(msgspec.Struct, tag=True):
 
 
 class Attended(msgspec.Struct, tag=True):
-    """A unit's node has appeared; some of its ports may be late."""
+    """A unit's node has appeared; some of its ports may be late. One that `has_life` is configured.
+
+    It comes again for a node whose lifecycle is found late.
+    """
 
     unit: str
+    has_life: bool
+
+
+class StateChanged(msgspec.Struct, tag=True):
+    """A unit's lifecycle node was activated, or deactivated, as told."""
+
+    unit: str
+    is_active: bool
 
 
 class Configured(msgspec.Struct, tag=True):
@@ -102,7 +122,7 @@ class Configured(msgspec.Struct, tag=True):
 
 
 class Failed(msgspec.Struct, tag=True):
-    """A lifecycle node can't be configured or activated, or a component can't be loaded."""
+    """A lifecycle node refuses to change its state, or a component can't be loaded."""
 
     unit: str
     cause: str
@@ -163,6 +183,7 @@ class Tapped(WithData, tag=True, kw_only=True):
 FromHost: TypeAlias = (
     Listening
     | Attended
+    | StateChanged
     | Configured
     | Failed
     | ContainerFound

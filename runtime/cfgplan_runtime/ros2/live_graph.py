@@ -177,7 +177,7 @@ def _node(told: NodeTold, ends: Mapping[tuple[str, bool, str], EndTold], process
     seen = RosNode(
         told.name,
         tuple(_ports(told, ends)),
-        parameters={name: value for name, value in kept.items() if value is not None},
+        parameters={name: value for name, value in kept.items() if value not in (None, [])},
         runs=True,
     )
     if process is None:

@@ -24,12 +24,14 @@ from cfgplan_runtime.ros2.host_messages import (
     Attend,
     Attended,
     Begin,
+    ChangeState,
     Configured,
     ContainerFound,
     Failed,
     FromHost,
     Gone,
     Loaded,
+    StateChanged,
     Tapped,
     Told,
     Unloaded,
@@ -65,6 +67,14 @@ class _UnitNode:
     """Whether it was started in a waiting process."""
     has_answered: bool = False
     """Whether it has answered the present helper's calls: a node that never spins does not."""
+    has_life: bool = False
+    is_active: bool = False
+    """Whether it was told to begin. A lifecycle node then is active, or `is_activating`."""
+    is_activating: bool = False
+    is_deactivating: bool = False
+    """Whether it is deactivated before it ends."""
+    failure: str = ""
+    """The reason for which it was given up."""
 
 
 class Ros2Backend:
@@ -133,7 +143,8 @@ class Ros2Backend:
             self._sign_due_s = self.now() + _ALIVE_S
             self._warm.keep_one(self._messages, self.now())
             for node in self._nodes.values():
-                if node.is_ready and not node.has_answered and _is_going(self._process_of(node.unit)):
+                is_silent = node.is_activating or not node.has_answered
+                if node.is_ready and is_silent and _is_going(self._process_of(node.unit)):
                     self._events.append(self._status(node))
         happened = list(self._events)
         self._events.clear()
@@ -199,13 +210,16 @@ class Ros2Backend:
             self._processes.last_words(self._warm.take(spare), spare)
 
     def stop(self, unit: str) -> None:
+        """Deactivate a lifecycle node, then end it; a second call does not wait until it is deactivated."""
         node = self._nodes.get(unit)
-        if node is not None and not node.is_stopping:
-            node.is_stopping = True
-            if unit in self._containers:
-                self._containers.stop(unit)
-            else:
-                self._end(node, NodeProcess.interrupt)
+        if node is None:
+            return
+        if not node.is_stopping and node.has_life and node.is_active:
+            node.is_deactivating = True
+            self._change_state(node, is_active=False)
+        elif node.is_deactivating or not node.is_stopping:
+            self._stop_now(node)
+        node.is_stopping = True
 
     def kill(self, unit: str, *, dump: bool = False) -> None:
         node = self._nodes.get(unit)
@@ -214,11 +228,19 @@ class Ros2Backend:
         elif node is not None and not dump:
             self._end(node, NodeProcess.kill)
 
-    def activate(self, unit: str) -> None:
-        """Do nothing: nodes work as soon as they run."""
+    def activate(self, unit: str) -> bool:
+        """Activate a lifecycle node: UnitActive follows. Other nodes work as soon as they run."""
+        node = self._nodes.get(unit)
+        if node is None:
+            return False
+        node.is_activating = node.has_life
+        self._change_state(node, is_active=True)
+        return node.has_life
 
     def deactivate(self, unit: str) -> None:
-        """Do nothing: nodes work as long as they run."""
+        """Deactivate a lifecycle node. Other nodes work as long as they run."""
+        if unit in self._nodes:
+            self._change_state(self._nodes[unit], is_active=False)
 
     def hold(self, unit: str) -> None:
         """Do nothing: nodes do not take a state."""
@@ -325,13 +347,17 @@ class Ros2Backend:
                 waits=node.is_spare,
                 is_watched=ros.source.kind == "component",
                 has_clock=SIM_TIME in ros.parameters,
+                is_active=node.is_active,
             )
         )
 
     def _hear(self, message: object) -> None:
         match message:
-            case Attended(unit) if unit in self._nodes:
+            case Attended(unit, has_life) if unit in self._nodes:
+                self._nodes[unit].has_life |= has_life
                 self._note_ready(self._nodes[unit])
+            case StateChanged(unit, is_active) if unit in self._nodes:
+                self._note_state(self._nodes[unit], is_active=is_active)
             case Configured(unit) if unit in self._nodes:
                 self._nodes[unit].is_configured = True
                 usage = self.usage(unit)
@@ -342,11 +368,8 @@ class Ros2Backend:
                 self._containers.note_loaded(unit, number)
             case Unloaded(unit, is_done):
                 self._containers.note_unloaded(unit, is_done=is_done)
-            case Failed(unit, cause) if unit in self._containers:
-                self._remove_dead(self._nodes[unit], cause)
             case Failed(unit, cause) if unit in self._nodes:
-                self._events.append(events.UnitPrinted(unit, f"cfgplan: {cause}"))
-                self.kill(unit)
+                self._note_failure(self._nodes[unit], cause)
             case Answered(unit) if unit in self._nodes:
                 self._nodes[unit].has_answered = True
                 if self._nodes[unit].is_ready:
@@ -365,6 +388,29 @@ class Ros2Backend:
             node.is_ready = True
             usage = self.usage(node.unit)
             self._events.append(events.UnitReady(node.unit, 0 if usage is None else usage.cpu_us))
+
+    def _change_state(self, node: _UnitNode, *, is_active: bool) -> None:
+        node.is_active = is_active
+        self._wires.tell(ChangeState(node.unit, is_active))
+
+    def _note_state(self, node: _UnitNode, *, is_active: bool) -> None:
+        if is_active and node.is_activating:
+            node.is_activating = False
+            self._events.append(events.UnitActive(node.unit))
+        elif not is_active and node.is_deactivating:
+            self._stop_now(node)
+
+    def _note_failure(self, node: _UnitNode, cause: str) -> None:
+        """Give up a node that refuses to change its state, or can't be loaded; a stopping one is ended as usual."""
+        if node.is_deactivating:
+            self._events.append(events.UnitPrinted(node.unit, f"cfgplan: {cause}"))
+            self._stop_now(node)
+            return
+        node.failure = cause
+        if node.unit in self._containers and not self._containers.is_loaded(node.unit):
+            self._remove_dead(node, cause)
+        else:
+            self.kill(node.unit)
 
     def _status(self, node: _UnitNode) -> events.UnitStatus:
         """A sign of life, with the relay's counts of a unit's streams."""
@@ -478,6 +524,7 @@ class Ros2Backend:
 
     def _remove_dead(self, node: _UnitNode, cause: str) -> None:
         """Forget a node that has ended or was given up."""
+        cause = node.failure or cause
         del self._nodes[node.unit]
         self._warnings.forget(node.unit)
         self._wires.close_inlets(node.unit)
@@ -489,6 +536,14 @@ class Ros2Backend:
             self._events.append(events.UnitStopped(node.unit))
         else:
             self._events.append(events.UnitDied(node.unit, cause))
+
+    def _stop_now(self, node: _UnitNode) -> None:
+        """Let a node end."""
+        node.is_deactivating = False
+        if node.unit in self._containers:
+            self._containers.stop(node.unit)
+        else:
+            self._end(node, NodeProcess.interrupt)
 
     def _end(self, node: _UnitNode, end: Callable[[NodeProcess], None]) -> None:
         """Call `end` with a node's process, or forget a foreign node."""

@@ -21,6 +21,8 @@ from cfgplan_runtime.nodes.unit_checks import check_names, node_file
 from cfgplan_runtime.ros2.host_messages import PortTopic
 
 _PLAIN = (bool, int, float, str)
+_INTEGERS = range(-(2**63), 2**63)
+"""The integers that a parameter can have; rcl reads others as floats."""
 _CONTAINER_NAME = re.compile(r"/?[A-Za-z]\w*(/[A-Za-z]\w*)*", re.ASCII)
 SIM_TIME = "use_sim_time"
 """The parameter by which every node of ROS 2 goes by the time of /clock."""
@@ -195,12 +197,18 @@ def _own_name(port: InputPort | OutputPort) -> str:
 
 def _check_parameter(place: str, value: object) -> None:
     """Raise InputError for a value that no parameter of ROS 2 can have."""
-    if isinstance(value, Mapping):
+    if isinstance(value, Mapping) and value:
         for name, part in value.items():
             _check_parameter(f"{place}.{name}", part)
         return
-    values = list(value) if isinstance(value, Sequence) and not isinstance(value, str) else [value]
+    values = list(value) if isinstance(value, Mapping | Sequence) and not isinstance(value, str) else [value]
     kinds = {type(one) for one in values}
-    if not all(kind in _PLAIN for kind in kinds) or len(kinds) > 1:
+    if not values:
+        mend = "leave it out: ROS 2 does not know of which kind an empty value is, and gives the node none"
+    elif not all(kind in _PLAIN for kind in kinds) or len(kinds) > 1:
         mend = "write a number, a text, true or false, or a list of one kind of these (1.0 and 2, say, are two kinds)"
-        raise InputError.of(f"{place}: `{value}` can't be a parameter of ROS 2", mend=mend)
+    elif kinds == {int} and not all(one in _INTEGERS for one in values):
+        mend = "an integer has 64 bits: write a number with a point, or a text"
+    else:
+        return
+    raise InputError.of(f"{place}: `{value}` can't be a parameter of ROS 2", mend=mend)

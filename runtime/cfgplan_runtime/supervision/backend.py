@@ -184,8 +184,10 @@ class Backend(Protocol):
         With `dump` it first prints its stack.
         """
 
-    def activate(self, unit: str) -> None:
-        """Let a started unit begin to work. Nodes of ROS do nothing here: they work as soon as they run."""
+    def activate(self, unit: str) -> bool:
+        """Let a started unit begin to work. Returns whether UnitActive or UnitDied follows: a lifecycle node of ROS 2
+        takes a while. Other nodes of ROS work as soon as they run.
+        """
 
     def deactivate(self, unit: str) -> None:
         """Let a unit give nothing until `activate`, and keep the elements that it gets."""

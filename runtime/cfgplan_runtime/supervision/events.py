@@ -21,6 +21,12 @@ class UnitReady(Event, frozen=True):
     labor_us: int
 
 
+class UnitActive(Event, frozen=True):
+    """A unit that takes a while to begin works from now on."""
+
+    unit: str
+
+
 class UnitDied(Event, frozen=True):
     """A unit has ended without being told to, or could not start; `cause` says why."""
 
@@ -303,5 +309,5 @@ class RolledBack(Event, frozen=True):
     cause: str
 
 
-SIGNS = (UnitStatus, TopicsStatus, CrossingsStatus, HelperAlive, PlacesTold, StateTold)
+SIGNS = (UnitStatus, TopicsStatus, CrossingsStatus, HelperAlive, UnitActive, PlacesTold, StateTold)
 """Signs of life and answers to the supervisor: they come often, and are not logged."""

@@ -29,6 +29,10 @@ class Actual(Protocol):
         """The units that give nothing, since they are not connected yet."""
 
     @property
+    def activating(self) -> Set[str]:
+        """The units that were told to begin, and do not work yet."""
+
+    @property
     def topics(self) -> Mapping[str, str | None]:
         """By topic that has an address: the host of its target."""
 

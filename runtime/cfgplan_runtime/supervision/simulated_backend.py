@@ -22,6 +22,7 @@ from cfgplan_runtime.supervision.events import (
     SpareUsed,
     StateTold,
     TopicsStatus,
+    UnitActive,
     UnitDied,
     UnitReady,
     UnitStatus,
@@ -42,6 +43,8 @@ class Behaviour:
     """
 
     start_s: float = 0.01
+    activate_s: float | None = None
+    """Seconds after which a unit that was told to begin works; None: at once."""
     dies_at_start: str | None = None
     dies_s: float | None = None
     stop_s: float = 0.002
@@ -66,6 +69,7 @@ class _Unit:
     host: str | None
     is_ready: bool = False
     is_active: bool = False
+    is_activating: bool = False
     is_stopping: bool = False
     is_held: bool = False
     steps: int = 0
@@ -241,18 +245,28 @@ class SimulatedBackend:
             if not found.behaviour.hung:
                 self._later(found.behaviour.stop_s, UnitStopped(unit))
 
-    def activate(self, unit: str) -> None:
+    def activate(self, unit: str) -> bool:
         self.calls.append(("activate", unit))
-        if unit in self.units:
-            self.units[unit].is_active = True
-            for port in self._inputs.values():
-                if port.standby is not None and self.wires[port.standby][0].unit == unit:
-                    self._switch_soon(port)
+        found = self.units.get(unit)
+        if found is None:
+            return False
+        found.is_activating = True
+        if found.behaviour.activate_s is None:
+            self._begin(unit)
+            return False
+        self._later(found.behaviour.activate_s, UnitActive(unit))
+        return True
+
+    def _begin(self, unit: str) -> None:
+        self.units[unit].is_active, self.units[unit].is_activating = True, False
+        for port in self._inputs.values():
+            if port.standby is not None and self.wires[port.standby][0].unit == unit:
+                self._switch_soon(port)
 
     def deactivate(self, unit: str) -> None:
         self.calls.append(("deactivate", unit))
         if unit in self.units:
-            self.units[unit].is_active = False
+            self.units[unit].is_active = self.units[unit].is_activating = False
 
     def hold(self, unit: str) -> None:
         self.calls.append(("hold", unit))
@@ -356,7 +370,7 @@ class SimulatedBackend:
     def _subject(self, event: Event) -> _Unit | _Prepared | None:
         """The unit or spare of an event; None if it does not exist."""
         match event:
-            case UnitReady(unit) | UnitDied(unit) | UnitStopped(unit) | UnitStatus(unit):
+            case UnitReady(unit) | UnitActive(unit) | UnitDied(unit) | UnitStopped(unit) | UnitStatus(unit):
                 return self.units.get(unit)
             case SparePrepared(spare) | SpareLost(spare):
                 return self.spares.get(spare)
@@ -369,6 +383,10 @@ class SimulatedBackend:
                 return self._switch(wire)
             case UnitReady(unit) if unit in self.units:
                 self.units[unit].is_ready = True
+            case UnitActive(unit) if unit in self.units:
+                if not self.units[unit].is_activating:
+                    return False
+                self._begin(unit)
             case UnitDied(unit) | UnitStopped(unit) if unit in self.units:
                 has_orphan = self.units.pop(unit).behaviour.leaves_process
                 for wire in [w for w, (stream, _) in self.wires.items() if stream.unit == unit and not has_orphan]:
@@ -391,7 +409,7 @@ class SimulatedBackend:
                 self._later(self.sign_period_s, UnitStatus(unit, steps, errors, {}, given, qualities=said))
             case SpareLost(spare):
                 return self.spares.pop(spare, None) is not None
-            case UnitReady() | UnitDied() | UnitStopped() | UnitStatus():
+            case UnitReady() | UnitActive() | UnitDied() | UnitStopped() | UnitStatus():
                 return False
         return True
 

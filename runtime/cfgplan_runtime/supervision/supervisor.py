@@ -66,6 +66,7 @@ class Supervisor:
         self.ready: set[str] = set()
         self.inactive: set[str] = set()
         """The units that give nothing, since they are not connected yet."""
+        self.activating: set[str] = set()
         self.topics: dict[str, str | None] = {}
         self.hosts: dict[str, events.HostJoined | events.HostLost] = {}
         """The last event of each host that the backend reports."""
@@ -303,6 +304,7 @@ class Supervisor:
                 self._activate(unit_id)
             case commands.DeactivateUnit(unit_id):
                 self.inactive.add(unit_id)
+                self.activating.discard(unit_id)
                 self.backend.deactivate(unit_id)
             case commands.HoldUnit(unit_id):
                 self.backend.hold(unit_id)
@@ -404,7 +406,8 @@ class Supervisor:
             raise
 
     def _activate(self, unit: str) -> None:
-        self.backend.activate(unit)
+        if self.backend.activate(unit):
+            self.activating.add(unit)
         self.inactive.discard(unit)
 
     def _new_record(self, unit: ComputationUnit, transformation: Transformation) -> UnitRecord:
@@ -427,6 +430,9 @@ class Supervisor:
                 self.ready.add(unit)
                 record = self._records[unit]
                 record.labor_us, record.sign_s = labor_us, self.now()
+            case events.UnitActive(unit):
+                self.activating.discard(unit)
+                return False
             case events.UnitDied(unit, cause):
                 self.cause_of_death[unit] = cause
                 self._remove_dead(unit)
@@ -497,6 +503,7 @@ class Supervisor:
         self.alive.discard(unit)
         self.ready.discard(unit)
         self.inactive.discard(unit)
+        self.activating.discard(unit)
         self._stopping.pop(unit, None)
         self.wiring.forget_unit(unit)
         self.taps.lose_unit(unit)

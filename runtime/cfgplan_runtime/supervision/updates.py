@@ -5,7 +5,7 @@ A generator yields commands and conditions to wait for; its driver carries each 
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Mapping, Set
+from collections.abc import Callable, Generator, Iterable, Mapping, Set
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -46,8 +46,9 @@ TIME_TO_DUMP_S = 0.2
 
 @dataclass(frozen=True, slots=True)
 class Patience:
-    """The times that the steps of an update may take, in seconds: a start `start_s`, a stop `stop_s`, then the end of a
-    process `kill_s`. Followers of topics, such as a recording, may take `follow_s` until they are connected.
+    """The times that the steps of an update may take, in seconds: a start `start_s`, as the activation of a lifecycle
+    node of ROS 2, a stop `stop_s`, then the end of a process `kill_s`. Followers of topics, such as a recording, may
+    take `follow_s` until they are connected.
 
     If the new source of an input sends nothing for `switch_s`, the input switches to it when the old source is stopped.
     """
@@ -180,19 +181,22 @@ class _Update:
             if not unit.standby:
                 yield StartUnit(unit, progress.after.transformation[unit.transformation])
         awaited = {*progress.started, *(progress.wired() & actual.alive - actual.ready)}
-        yield WaitUntil(
-            lambda: bool(progress.dead()) or not progress.loading(awaited) or actual.is_abandoned,
-            self.patience.start_s,
-        )
-        progress.fail_if_dead()
-        slow = progress.loading(awaited)
-        if slow and actual.is_abandoned:
-            raise StepFailedError(f"it was given up while {_were(slow)} starting", slow, is_abandoned=True)
+        slow = yield from self.await_none(lambda: progress.loading(awaited), "starting")
         if slow:
             for unit_id in slow:
                 yield Dump(unit_id)
             yield WaitUntil(lambda: actual.is_abandoned, TIME_TO_DUMP_S)
             raise StepFailedError(f"{_were(slow)} not ready within {self.patience.start_s:g} s", slow)
+
+    def await_none(self, late: Callable[[], list[str]], doing: str) -> Generator[Command, None, list[str]]:
+        """Wait until no unit is late with its start or activation. Returns those that are late nevertheless."""
+        progress, actual = self.progress, self.progress.actual
+        yield WaitUntil(lambda: bool(progress.dead()) or not late() or actual.is_abandoned, self.patience.start_s)
+        progress.fail_if_dead()
+        slow = late()
+        if slow and actual.is_abandoned:
+            raise StepFailedError(f"it was given up while {_were(slow)} {doing}", slow, is_abandoned=True)
+        return slow
 
     def rewire(self) -> Commands:
         progress = self.progress
@@ -207,7 +211,7 @@ class _Update:
                 progress.rewired[inlet] = None if fed is None else fed.stream
                 yield Connect(stream, inlet)
         # Elements that a unit gives before it is connected would be lost, such as messages that a broker has kept.
-        yield from self.activate(unit.id for unit in progress.after.units)
+        yield from self.begin()
         yield from self.handovers.carry_out()
         starved = progress.idle_units() | self.handovers.paused_sources
         yield WaitUntil(lambda: bool(progress.dead()) or progress.may_end(starved), self.patience.switch_s)
@@ -239,6 +243,23 @@ class _Update:
         for unit in sorted(new, key=lambda unit: (not inputs[unit], unit)):
             self.activated.add(unit)
             yield ActivateUnit(unit)
+
+    def begin(self) -> Commands:
+        """Activate all inactive units. Sources begin once all others work: a lifecycle node takes a while, and elements
+        that come before are lost.
+        """
+        units, library = self.progress.after.units, self.progress.after.transformation
+        inner = [unit.id for unit in units if library[unit.transformation].inputs]
+        for group in (inner, [unit.id for unit in units]):
+            yield from self.activate(group)
+            if self.activating():
+                slow = yield from self.await_none(self.activating, "being activated")
+                if slow:
+                    raise StepFailedError(f"{_were(slow)} not active within {self.patience.start_s:g} s", slow)
+
+    def activating(self) -> list[str]:
+        """The units that this update has told to begin, and that do not work yet."""
+        return sorted(self.activated & self.progress.actual.activating)
 
     def stop(self) -> Commands:
         progress = self.progress

@@ -14,8 +14,10 @@ from cfgplan_runtime.ros2.host.relays import SIGN_S, Relays
 
 _LOOK_S = 0.05
 """Seconds between two looks for ports that no event tells of."""
-_PORTS_S = 2.0
-"""Seconds after its first sign after which a node is ready, whatever ports it does not have yet."""
+_PORTS_S, _CONFIGURED_PORTS_S = 2.0, 0.5
+"""Seconds after its first sign after which a node is ready, whatever ports it does not have yet; those of a lifecycle
+node that is configured, which may make some when it is activated.
+"""
 _LATE_S = 10.0
 """Seconds after it is ready after which it is told which outputs a node still lacks, and who else has its name."""
 _IDLE_S = 3.0
@@ -30,7 +32,10 @@ _CLOCK = "/clock"
 
 @dataclass(eq=False)
 class AttendedNode:
-    """A unit's node, or a cold spare that `waits`. `gids` are its endpoints, by the last look."""
+    """A unit's node, or a cold spare that `waits`. `gids` are its endpoints, by the last look.
+
+    It `is_ready` once it has been reported for its `goal`, the state that it is led to if it has a lifecycle.
+    """
 
     unit: str
     name: str
@@ -45,6 +50,9 @@ class AttendedNode:
     waits: bool = False
     is_watched: bool = False
     life: Lifecycle | None = None
+    goal: int = INACTIVE
+    is_attended: bool = False
+    """Whether it was reported to have appeared."""
     seen_s: float | None = None
     """When there was a first sign of it."""
     is_ready: bool = False
@@ -68,7 +76,9 @@ class Attendance:
         self._timeless: set[str] = set()
         """The names of nodes that were reported to go by no simulated time."""
         self._forget_wires = host.handlers["CloseInlets"]
-        host.handlers.update(Attend=self._attend, CloseInlets=self._forget, Begin=self._begin)
+        host.handlers.update(
+            Attend=self._attend, CloseInlets=self._forget, Begin=self._begin, ChangeState=self._change_state
+        )
         host.on_match = self._look
         host.waiting.later(SIGN_S, self._sign)
 
@@ -79,6 +89,7 @@ class Attendance:
             order["unit"], order["node"], inputs, outputs, order["is_foreign"], has_clock, time.monotonic()
         )
         node.waits, node.is_watched = order["waits"], order["is_watched"] or order["is_foreign"]
+        node.goal = ACTIVE if order["is_active"] else INACTIVE
         self._nodes[node.unit] = node
         if not node.is_foreign:
             for port in (one for one in outputs if _is_topic(one)):
@@ -104,6 +115,15 @@ class Attendance:
             node.is_ready = False
             self._nodes[node.unit] = node
             self._look()
+
+    def _change_state(self, order: dict[str, Any]) -> None:
+        """Activate or deactivate a lifecycle node; one whose lifecycle is found later then."""
+        node = self._nodes.get(order["unit"])
+        if node is not None:
+            node.goal = ACTIVE if order["is_active"] else INACTIVE
+            if node.life is not None:
+                node.is_ready = False
+                self._look()
 
     def _forget(self, order: dict[str, Any]) -> None:
         node = self._nodes.pop(order["unit"], None)
@@ -147,12 +167,11 @@ class Attendance:
             node.seen_s = time.monotonic()
         if node.seen_s is None:
             return
-        if node.life is None and f"{node.name}/change_state" in self._services():
-            node.life = Lifecycle(self._host, node.name, lambda: self._note_state(node))
-        is_late = time.monotonic() - node.seen_s > _PORTS_S
+        self._find_life(node)
+        is_configured = node.life is not None and node.goal == INACTIVE
+        is_late = time.monotonic() - node.seen_s > (_CONFIGURED_PORTS_S if is_configured else _PORTS_S)
         if node.life is not None:
-            self._lead(node, node.life)
-            if node.waits or node.life.state != ACTIVE:
+            if not self._has_come(node, node.life):
                 return
         elif node.waits:
             if is_late:
@@ -161,15 +180,39 @@ class Attendance:
         if not missing or is_late:
             self._note_ready(node)
 
-    def _lead(self, node: AttendedNode, life: Lifecycle) -> None:
-        """Lead a lifecycle node to its state: configured for a spare, else active."""
+    def _find_life(self, node: AttendedNode) -> None:
+        """Find out whether a node has a lifecycle."""
+        if node.life is None and f"{node.name}/change_state" in self._services():
+            node.life = Lifecycle(self._host, node.name, lambda: self._note_state(node))
+
+    def _find_late_life(self, node: AttendedNode) -> None:
+        """Lead a node that was taken for one without a lifecycle: a busy computer makes the node and then its services,
+        and a node that lacks ports is not waited for.
+        """
+        if node.is_ready and node.life is None:
+            self._find_life(node)
+            if node.life is not None:
+                node.is_ready = node.is_attended = False
+                self._look()
+
+    def _has_come(self, node: AttendedNode, life: Lifecycle) -> bool:
+        """Lead a lifecycle node on to its state. Returns whether it is there, and has to have its ports now.
+
+        One that has activated itself is only deactivated if it was reported before.
+        """
         if life.cause:
             self._fail(node, life.cause)
-        elif node.waits and life.state == INACTIVE:
+        elif life.state != node.goal and (life.state != ACTIVE or node.is_attended):
+            life.go(node.goal)
+        elif node.waits:
             node.is_ready = True
             self._host.say("Configured", unit=node.unit)
+        elif node.is_attended and node.goal == INACTIVE:
+            node.is_ready = True
+            self._host.say("StateChanged", unit=node.unit, is_active=False)
         else:
-            life.go(INACTIVE if node.waits else ACTIVE)
+            return True
+        return False
 
     def _note_state(self, node: AttendedNode) -> None:
         if self._nodes.get(node.unit) is node:
@@ -228,10 +271,15 @@ class Attendance:
 
     def _note_ready(self, node: AttendedNode) -> None:
         node.is_ready = True
-        self._host.say("Attended", unit=node.unit)
-        self._host.waiting.later(_IDLE_S, lambda: self._let_go(node))
-        if not node.is_foreign:
-            self._host.waiting.later(_LATE_S, lambda: self._tell_late(node))
+        if not node.is_attended:
+            node.is_attended = True
+            self._host.say("Attended", unit=node.unit, has_life=node.life is not None)
+        if node.life is not None and node.goal == ACTIVE:
+            self._host.say("StateChanged", unit=node.unit, is_active=True)
+        if node.life is None or node.goal == ACTIVE:
+            self._host.waiting.later(_IDLE_S, lambda: self._let_go(node))
+            if not node.is_foreign:
+                self._host.waiting.later(_LATE_S, lambda: self._tell_late(node))
 
     def _let_go(self, node: AttendedNode) -> None:
         if self._nodes.get(node.unit) is node:
@@ -264,6 +312,7 @@ class Attendance:
         for node in list(self._nodes.values()):
             if not node.is_foreign and len(node.gids) < len(node.inputs) + len(node.outputs):
                 self._missing(node)
+                self._find_late_life(node)
             if node.is_watched and node.is_ready:
                 node.missed = 0 if self._namesakes(node.name) else node.missed + 1
                 if node.missed == _MOST_MISSED:
