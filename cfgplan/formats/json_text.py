@@ -30,8 +30,11 @@ _MENDS = {
 }
 
 
-def read_json(text: str, file: str) -> Source:
-    """Read one JSON document; raises InputError if it can't be read to the end."""
+def read_json(text: str, file: str, made_by: str | None = None) -> Source:
+    """Read one JSON document; raises InputError if it can't be read to the end.
+
+    `made_by` is the command that writes such files; the mend names it if the text does not even begin as JSON.
+    """
     repeats: list[str] = []
 
     def mapping(pairs: list[tuple[str, object]]) -> dict[str, object]:
@@ -49,6 +52,8 @@ def read_json(text: str, file: str) -> Source:
         )
     except json.JSONDecodeError as error:
         mend = next((mend for part, mend in _MENDS.items() if part in error.msg), "mend the syntax here")
+        if made_by is not None and not text[: error.pos].strip():
+            mend = f"name a file that {made_by} has written"
         fault = Fault(f"this is not JSON: {error.msg}", file, error.lineno, error.colno, mend=mend)
         raise InputError([fault]) from None
     except RecursionError:

@@ -66,7 +66,7 @@ def read_observed(path: str | os.PathLike[str], environment: Environment) -> Env
 
     Raises InputError, also for facts and qualities that the environment does not have.
     """
-    source = read_json(read_text(FilePath(path)), str(path))
+    source = read_json(read_text(FilePath(path)), str(path), "`cfgplan ctl observed --out`")
     if source.faults:
         raise InputError(source.faults)
     try:

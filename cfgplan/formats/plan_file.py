@@ -29,6 +29,7 @@ from cfgplan.planning import Measured, Plan, Problem, Status
 from cfgplan.qualities import units
 
 FORMAT_VERSION = 1
+_MADE_BY = "`cfgplan solve --out` or `cfgplan ctl plan --out`"
 
 
 class _PlanPart(BaseModel):
@@ -165,7 +166,7 @@ def load_plan(path: str | os.PathLike[str], digest: str | None = None) -> Plan:
     Only the form is checked, and the environment if `digest` is given; costs, wiring and proofs are not. To carry out a
     plan, call `cfgplan.load_plan`, which asks the judge.
     """
-    source = read_json(read_text(FilePath(path)), str(path))
+    source = read_json(read_text(FilePath(path)), str(path), _MADE_BY)
     part = _plan_part(source)
     if digest is not None and part.environment != digest:
         message = "the plan is stale: it was made for another environment, or this one has changed since"
@@ -178,7 +179,7 @@ def read_run_plan(text: str, name: str) -> tuple[Plan, Mapping[str, Mapping[str,
 
     Raises InputError. Only the form is checked.
     """
-    source = read_json(text, name)
+    source = read_json(text, name, _MADE_BY)
     part = _plan_part(source)
     return _plan_in(source, part), part.basis
 

@@ -135,6 +135,14 @@ def test_what_is_no_plan_is_refused(tmp_path: Path) -> None:
         load_plan(written(tmp_path, "[]"))
 
 
+@pytest.mark.parametrize("text", ["# a world\nformat: cfgplan/1\n", "  targets: []", "<environment/>"])
+def test_a_file_of_another_format_is_told_how_a_plan_is_written(tmp_path: Path, text: str) -> None:
+    with pytest.raises(InputError, match=r"this is not JSON.*a file that `cfgplan solve --out` or"):
+        load_plan(written(tmp_path, text))
+    with pytest.raises(InputError, match="put a comma between two values"):
+        load_plan(written(tmp_path, '{"format_version": 1 "status": 2}'))
+
+
 def test_the_schema_of_plans_names_every_key() -> None:
     data = json.loads(dump_plan(PLAN, PROBLEM, "digest"))
     now_and_then = {"survive", "figures", "objectives", "facts", "qualities", "basis"}
