@@ -424,5 +424,6 @@ def _settings(options: argparse.Namespace, screen: Screen) -> Settings:
         adjust=partial(_adjusted, options),
         check=source_check_of(options),
         reloads=options.reload,
+        use_cache=not options.no_cache,
         name=options.name,
     )

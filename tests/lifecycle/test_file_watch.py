@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
+from unittest import mock
 
 import pytest
 from cfgplan_runtime.lifecycle import file_watch
@@ -14,6 +16,7 @@ from real_run import eventually
 
 from cfgplan.api import World
 from cfgplan.errors import Fault
+from cfgplan.matching import ontology_files
 
 ONTOLOGY = "@prefix : <http://e.org/o#> .\n@prefix owl: <http://www.w3.org/2002/07/owl#> .\n:Image a owl:Class .\n"
 MAIN = "format: cfgplan/1\nontology: o.ttl\ninclude: [more]\ntargets: [{label: t, topic: /t, tag: Image}]\n"
@@ -21,7 +24,7 @@ PART = "transformations:\n  - {label: LABEL, outputs: {y: Image}}\n"
 
 
 class Watched:
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *, use_cache: bool = False) -> None:
         self.folder = folder
         self.worlds: list[World] = []
         self.faults: list[tuple[Fault, ...]] = []
@@ -33,6 +36,7 @@ class Watched:
             folder / "env.yaml",
             lambda world, _: self.worlds.append(world),
             lambda _, faults: self.faults.append(faults),
+            use_cache=use_cache,
         )
         self.watching.start()
         eventually(lambda: len(self.worlds) == 1)
@@ -52,6 +56,21 @@ def watched(tmp_path: Path) -> Iterator[Watched]:
     watched = Watched(tmp_path)
     yield watched
     watched.watching.close()
+
+
+@pytest.mark.parametrize(("use_cache", "parsed"), [(True, 2), (False, 3)])
+def test_an_ontology_that_has_not_changed_is_parsed_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, parsed: int, *, use_cache: bool
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    with mock.patch.object(ontology_files, "_document_of", wraps=ontology_files._document_of) as read:
+        watched = Watched(tmp_path, use_cache=use_cache)
+        with closing(watched.watching):
+            watched.write("env.yaml", MAIN + "horizon: 7\n")
+            eventually(lambda: watched.worlds[-1].horizon_s == 7)
+            watched.write("o.ttl", ONTOLOGY + ":Photo a owl:Class .\n")
+            eventually(lambda: "Photo" in watched.worlds[-1].ontology.classes)
+        assert read.call_count == parsed
 
 
 def test_a_changed_file_is_read_anew(watched: Watched) -> None:

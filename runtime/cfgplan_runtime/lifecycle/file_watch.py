@@ -134,12 +134,17 @@ def _stamp(path: Path) -> tuple[int, int, int] | None:
 
 
 @contextmanager
-def watch_file(path: str | Path, manager: Manager) -> Iterator[None]:
+def watch_file(path: str | Path, manager: Manager, *, use_cache: bool = True) -> Iterator[None]:
     """Watch the environment file at `path`, its includes and its ontologies, and give `manager` each new world.
 
-    If they have an error, the faults are reported and the last valid world holds.
+    If they have an error, the faults are reported and the last valid world holds. `use_cache` is that of
+    `cfgplan.load`.
     """
-    watching = WorldWatch(Path(path), lambda world, by: manager.request(ReplaceWorld(world, by)), manager.refuse)
+
+    def give(world: World, by: str) -> None:
+        manager.request(ReplaceWorld(world, by))
+
+    watching = WorldWatch(Path(path), give, manager.refuse, use_cache=use_cache)
     watching.start()
     try:
         yield
@@ -150,16 +155,23 @@ def watch_file(path: str | Path, manager: Manager) -> Iterator[None]:
 class WorldWatch(FileWatch):
     """Reads an environment file at the start, and whenever one of its files has changed since.
 
-    `give` gets each new world, `refuse` the faults of one that can't be used, both with the file's name.
+    `give` gets each new world, `refuse` the faults of one that can't be used, both with the file's name. With
+    `use_cache`, it is read as by `cfgplan.load`: ontologies that have not changed are not parsed again.
     """
 
     def __init__(
-        self, path: Path, give: Callable[[World, str], object], refuse: Callable[[str, tuple[Fault, ...]], object]
+        self,
+        path: Path,
+        give: Callable[[World, str], object],
+        refuse: Callable[[str, tuple[Fault, ...]], object],
+        *,
+        use_cache: bool = True,
     ) -> None:
         super().__init__(lambda: self._files, lambda _: self._read())
         self._path = path
         self._give = give
         self._refuse = refuse
+        self._use_cache = use_cache
         self._files = frozenset({path})
 
     def _read(self) -> None:
@@ -170,9 +182,9 @@ class WorldWatch(FileWatch):
         try:
             document = read_document(self._path)
             found |= _files_of(document)
-            ontology = api.ontology_of(document)
+            ontology = api.ontology_of(document, use_cache=self._use_cache)
             found |= set(ontology.files)
-            world = api.world_of(document, ontology)
+            world = api.world_of(document, ontology, use_cache=self._use_cache)
         except InputError as error:
             late.cancel()
             self._files |= found

@@ -93,6 +93,8 @@ class Settings:
     """Finds what keeps the code of a transformation from being started. None: the code is on other computers."""
     reloads: bool = False
     """Whether units are restarted when their code changes."""
+    use_cache: bool = True
+    """Whether files that are read again use the cache folder, as `cfgplan.load` does."""
     name: str | None = None
     """A name by which `cfgplan ctl` and others find the run, besides its id."""
     first: Preview | None = None
@@ -267,7 +269,8 @@ class Operation(Closable):
             stack.enter_context(settings.beside(self))
         self.manager.start()
         stack.callback(self._stop_manager)
-        for watch in (self._sources, WorldWatch(self._path, self._take_world, self.manager.refuse)):
+        world_watch = WorldWatch(self._path, self._take_world, self.manager.refuse, use_cache=settings.use_cache)
+        for watch in (self._sources, world_watch):
             watch.start()
             stack.callback(watch.close)
 
