@@ -116,7 +116,7 @@ def test_a_supposed_removal_is_priced_with_its_proof_and_not_carried_out(asked: 
     assert answer["is_proven"]
     assert sorted(answer["change_set"]["stopped"]) == ["camera(piff).1", "detector(piff).1"]
     assert answer["cost_us"] == 0 < answer["cost_now_us"]
-    assert "ball would not be met" in answer["says"]
+    assert "would not be met: target ball wants Ball" in answer["says"]
     assert units(asked) == before
 
 
