@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-MOST_FILES: Final = 64
+MOST_FILES: Final = 1000
 """The number of files that are kept in each part of the folder; the oldest are dropped first."""
 MOST_BYTES: Final = 256_000_000
 """The bytes that are kept in each part of the folder."""
@@ -46,16 +46,19 @@ class Kept:
             return None
 
     def keep(self, folder: Path, key: str, content: Mapping[str, object]) -> None:
-        """Keep a content under a key."""
+        """Keep a content under a key, unless it alone is larger than the part may be."""
         own = folder / self.part
         temporary = own / f"{key}.{os.getpid()}.tmp"
-        try:
-            own.mkdir(parents=True, exist_ok=True)
-            temporary.write_text(json.dumps({"format": self.form, "key": key, **content}))
-            temporary.replace(own / f"{key}.json")
-            _drop_the_oldest(own)
-        except OSError:
-            with suppress(OSError):
+        text = json.dumps({"format": self.form, "key": key, **content})
+        if len(text) > MOST_BYTES:
+            return
+        with suppress(OSError):
+            try:
+                own.mkdir(parents=True, exist_ok=True)
+                temporary.write_text(text)
+                temporary.replace(own / f"{key}.json")
+                _drop_the_oldest(own)
+            finally:  # also if the user interrupts it
                 temporary.unlink(missing_ok=True)
 
 

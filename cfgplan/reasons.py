@@ -22,10 +22,10 @@ _MOST_OMITTED = 3
 """A reason names at most this many omitted transformations of one cause, and as many causes; `omitted` of the
 environment has all.
 """
-_WANTED = re.compile(r"target (?P<label>.+?) wants (?P<tag>.+?), but (?P<fault>.+)", re.DOTALL)
+_WANTED = re.compile(r"(?P<tag>.+?), but (?P<fault>.+)", re.DOTALL)
 _UNMATCHED = re.compile(r"(?P<of>input .+? of .+?) needs (?P<fault>.+, and no output matches)", re.DOTALL)
 _OMITTED = re.compile(rf"needs (?P<fault>transformations that are {LEFT_OUT}: )(?P<of>.+?)(?P<why> \(.+)", re.DOTALL)
-"""The parts of a reason: a target with its tag, and the fault, with the inputs or transformations that have it."""
+"""The parts of a reason: after the target its tag, and the fault, with the inputs or transformations that have it."""
 Item = TypeVar("Item")
 
 
@@ -89,13 +89,19 @@ def shared_reasons(reasons: Mapping[str, str], most: int = sys.maxsize) -> list[
     """Return the reasons of targets, by label, so that each fault is told once, with all targets, inputs and
     transformations that have it. At most `most` of each are named.
     """
-    faults = grouped((_fault(reason), label) for label, reason in reasons.items())
+    faults = grouped((_fault(label, reason), label) for label, reason in reasons.items())
     return [_shared(fault, labels, reasons, most) for fault, labels in faults.items()]
 
 
-def _fault(reason: str) -> str:
-    """The part of a reason that several targets may have in common."""
-    wanted = _WANTED.fullmatch(reason)
+def _wanted(label: str, reason: str) -> re.Match[str] | None:
+    """The tag and the fault in the reason of a target; None if it names no tag."""
+    start = f"target {label} wants "
+    return _WANTED.fullmatch(reason, len(start)) if reason.startswith(start) else None
+
+
+def _fault(label: str, reason: str) -> str:
+    """The part of a target's reason that several targets may have in common."""
+    wanted = _wanted(label, reason)
     fault = reason if wanted is None else wanted["fault"]
     if unmatched := _UNMATCHED.fullmatch(fault):
         return unmatched["fault"]
@@ -104,14 +110,14 @@ def _fault(reason: str) -> str:
 
 
 def _shared(fault: str, labels: Sequence[str], reasons: Mapping[str, str], most: int) -> SharedReason:
-    wanted = [found for label in labels if (found := _WANTED.fullmatch(reasons[label]))]
+    wanted = {label: found for label in labels if (found := _wanted(label, reasons[label]))}
     if len(labels) == 1 or not wanted:
         return SharedReason(tuple(labels), reasons[labels[0]], bool(wanted))
     leads = [
         f"target{'s' if len(these) > 1 else ''} {some(these, most)} want{'' if len(these) > 1 else 's'} {tag}"
-        for tag, these in grouped((one["tag"], one["label"]) for one in wanted).items()
+        for tag, these in grouped((one["tag"], label) for label, one in wanted.items()).items()
     ]
-    told = [one["fault"] for one in wanted]
+    told = [one["fault"] for one in wanted.values()]
     if inputs := dict.fromkeys(found["of"] for each in told if (found := _UNMATCHED.fullmatch(each))):
         fault = f"{some(inputs, most)} need{'' if len(inputs) > 1 else 's'} {fault}"
     elif omitted := [found for each in told if (found := _OMITTED.fullmatch(each))]:

@@ -201,6 +201,13 @@ def test_a_cause_of_omitted_transformations_is_told_once_with_all_of_them() -> N
     ]
 
 
+def test_a_name_with_the_words_of_a_reason_is_told_as_it_is() -> None:
+    """The target `who wants A` was told as `who`, which wants something else."""
+    labels = ("who wants A", "b")
+    (told,) = shared_reasons({label: f"target {label} wants B, but time ran out" for label in labels})
+    assert (told.labels, told.text) == (labels, "targets who wants A, b want B, but time ran out")
+
+
 def test_reasons_of_other_kinds_are_shared_as_they_are() -> None:
     late = {label: f"target {label} wants A, but time ran out" for label in "xy"}
     (told,) = shared_reasons(late)

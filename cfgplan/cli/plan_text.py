@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator
 
@@ -14,7 +15,7 @@ from cfgplan.figures import CostParts, amount, cost_parts, link_loads, loads, to
 from cfgplan.planners import IGNORING_REQUIRED
 from cfgplan.planning import Failures, Plan, Problem, Status
 from cfgplan.qualities import Better, Wish
-from cfgplan.reasons import shared_reasons
+from cfgplan.reasons import LEFT_OUT, shared_reasons
 from cfgplan.ros.sources import NodeSource
 from cfgplan.summary import cpu as cpu
 
@@ -33,10 +34,16 @@ def update_text(problem: Problem, plan: Plan, given_up: Collection[str] = ()) ->
 def left_out_lines(environment: Environment, *, told: str = "") -> list[str]:
     """Return lines that name the transformations that facts leave out, and those that facts of hosts bar from some.
 
-    A transformation is left out of these if `told`, the text shown before, has it with its reason.
+    A transformation is left out of these if a line of `told`, the text shown before, names it as left out.
     """
-    forms = [(f"left out for now: {label}, {why}", f"{label} ({why})") for label, why in environment.left_out.items()]
-    return [*(line for line, short in forms if not (line in told or short in told)), *_barred_lines(environment)]
+    left_out = environment.left_out.items()
+    new = [f"{LEFT_OUT}: {label}, {why}" for label, why in left_out if not _is_named(label, told)]
+    return [*new, *_barred_lines(environment)]
+
+
+def _is_named(label: str, told: str) -> bool:
+    """Whether a line says that a transformation is left out, alone or with others of the same reason."""
+    return re.search(rf"{LEFT_OUT}: (?:.*, )?{re.escape(label)}(?:, | \(| and \d)", told) is not None
 
 
 def _barred_lines(environment: Environment, of: str | None = None) -> list[str]:

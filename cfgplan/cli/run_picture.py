@@ -214,7 +214,8 @@ def _crossings(crossings: list[Mapping[str, Any]]) -> RenderableType:
 def _targets(state: Mapping[str, Any], room: int | None = None) -> RenderableType:
     columns = (("target", 1), ("topic", 1), (">rate", 0), (">latency", 0), ("from", 2))
     ordered = sorted(state["targets"], key=lambda target: (target["met"], -target["priority"], target["label"]))
-    told = shared_reasons({target["label"]: target["reason"] for target in ordered if not target["met"]})
+    unmet = {target["label"]: target["reason"] for target in ordered if not target["met"]}
+    told = shared_reasons(unmet) if room is None else shared_reasons(unmet, 1)  # the cause must be on the line
     reasons = {label: f"as {shared.labels[0]}" for shared in told for label in shared.labels}
     reasons |= {shared.labels[0]: shared.text for shared in told}
     rows = [list(_target(target, reasons.get(target["label"], ""))) for target in ordered]

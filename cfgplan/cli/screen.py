@@ -35,8 +35,8 @@ WORK_TOLD_S = 5.0
 
 _ESCAPE = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)|.)")
 """A terminal's control sequence."""
-_AT_LINE_END = re.compile(r"(?: |\x1b\[[\d;]*m)+$", re.MULTILINE)
-"""Spaces and colours at the end of a line."""
+_AT_LINE_END = re.compile(r"(?<! )(?: |\x1b\[[\d;]*m)+$", re.MULTILINE)
+"""Spaces and colours at the end of a line. Other spaces are looked at once, not once for each of them."""
 
 
 def printable(text: str) -> str:

@@ -139,7 +139,7 @@ def _solve(options: argparse.Namespace, screen: Screen, task: shared.Task) -> Ex
             )
         elif not is_proven:
             screen.warn("time ran out before it was proven that no better set of targets can be met")
-        for line in left_out_lines(world.environment, told=" ".join(plan.reasons.values())):
+        for line in left_out_lines(world.environment, told="\n".join(plan.reasons.values())):
             screen.note(line)
         for warning in double_owners(problem.after(plan)) if plan.change_set is not None else ():
             screen.warn(warning)

@@ -1,7 +1,7 @@
 """One ontology file as it was read, and the folder in which it is kept between runs.
 
 Reading a kept file takes about a tenth of the time, and imports no parser. Its key is a hash of the file's content, its
-names, and of the code that reads: the parser's and the one beside this file.
+names, and of the code that reads: the parsers' and the one beside this file.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.util import find_spec
+from itertools import chain
 from pathlib import Path
 from typing import Final
 
@@ -78,7 +79,8 @@ def keep_document(folder: Path, key: str, document: OntologyDocument) -> Ontolog
 @cache
 def _mark_of_readers() -> tuple[tuple[str, int, int], ...]:
     """Names, sizes and times of the files with the code that reads ontologies: others may read differently."""
-    parser = find_spec("pyhornedowl")
-    folders = Path(__file__).parent, *map(Path, (parser and parser.submodule_search_locations) or ())
+    specs = map(find_spec, ("pyhornedowl", "pyoxigraph"))
+    parsers = chain.from_iterable((spec and spec.submodule_search_locations) or () for spec in specs)
+    folders = Path(__file__).parent, *map(Path, parsers)
     files = sorted(path for folder in folders for path in folder.iterdir() if path.is_file())
     return tuple((file.name, about.st_size, about.st_mtime_ns) for file in files for about in [file.stat()])

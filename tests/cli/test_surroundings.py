@@ -406,6 +406,13 @@ def test_no_line_of_a_result_ends_with_spaces(
         assert _ESCAPE.sub("", capsys.readouterr().out) == "= keep  a.1\n= keep  bc.1\n"
 
 
+def test_a_line_with_many_spaces_is_printed_at_once(capsys: pytest.CaptureFixture[str]) -> None:
+    """Each space was looked at once for every space before it: wide tables took seconds, and this line minutes."""
+    line = f"a{' ' * 200_000}b"
+    Screen(json=False).show(f"{line}  ")
+    assert capsys.readouterr().out == f"{line}\n"
+
+
 def test_a_png_picture_is_not_written_to_a_terminal(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
     result = run("graph", FUSION, "--format", "png")

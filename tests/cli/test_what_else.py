@@ -186,6 +186,24 @@ def test_each_command_names_the_fact_that_keeps_a_target_from_being_met(run: Run
     assert "left out for now: eye, night is true" in run("sensitivity", *dark).err
 
 
+def test_transformations_of_one_reason_are_told_once_in_what_is_shown(run: Run, write: Callable[[str], Path]) -> None:
+    """Reasons that name several transformations were followed by a line for each of them."""
+    labels = ["ear", "ear of a cat", "eye", "nose", "skin"]
+    library = "".join(f"  - {{label: {label}, requires: not night, outputs: {{i: Image}}}}\n" for label in labels)
+    other = "  - {label: lamp, requires: not night, outputs: {l: Light}}\n"
+    targets = "targets: [{label: i, topic: /i, tag: Image}]\n"
+    env = write(f"facts: {{night: {{declared: true}}}}\ntransformations:\n{library}{other}{targets}")
+    explained, solved = run("explain", env), run("solve", env)
+    assert explained.out.splitlines()[1:] == [
+        "target i wants Image, but no transformation that offers it can run",
+        "    left out for now: ear, ear of a cat, eye, nose, skin, night is true",
+        "left out for now: lamp, night is true",
+    ]
+    assert "left out for now: ear, ear of a cat, eye and 2 more (night is true)" in solved.out
+    unnamed = [line for line in solved.err.splitlines() if "night" in line]
+    assert unnamed == [f"left out for now: {label}, night is true" for label in ("lamp", "nose", "skin")]
+
+
 def test_commands_that_are_advised_have_the_options_that_change_the_problem(
     run: Run, write: Callable[[str], Path], tmp_path: Path
 ) -> None:

@@ -93,10 +93,11 @@ def test_another_content_another_place_or_other_code_is_another_file(
     assert len(kept(folder)) == before + 2
 
 
-def test_the_mark_of_the_code_has_the_parser_and_the_readers() -> None:
+def test_the_mark_of_the_code_has_the_parsers_and_the_readers() -> None:
     names = {name for name, _, _ in ontology_document._mark_of_readers()}
     assert {"ontology_files.py", "rdf.py", "functional.py"} <= names
-    assert any(name.startswith("pyhornedowl.") for name in names)
+    for parser in ("pyhornedowl.", "pyoxigraph."):
+        assert any(name.startswith(parser) for name in names)
 
 
 def test_faults_are_told_each_time_and_nothing_is_kept(tmp_path: Path, folder: Path) -> None:
@@ -155,6 +156,40 @@ def test_the_oldest_files_go_first(files: Path, folder: Path, monkeypatch: pytes
         load_ontology([files], cache=folder)
     assert 0 < sum(file.stat().st_size for file in kept(folder)) <= 3_000
     assert any("Camera8" in file.read_text() for file in kept(folder))
+
+
+def test_an_ontology_of_many_files_is_kept_as_a_whole(
+    files: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """If an ontology had more files than were kept, each was dropped before it was read again."""
+    imports = "".join(f", <part{number}.ttl>" for number in range(100))
+    files.write_text(TURTLE.replace("<other.ttl>", f"<other.ttl>{imports}"))
+    for number in range(100):
+        (files.parent / f"part{number}.ttl").write_text(OTHER.replace("o.example", f"o{number}.example"))
+    first = load_ontology([files], cache=folder)
+    monkeypatch.setattr(ontology_files, "_document_of", no_parser)
+    assert load_ontology([files], cache=folder) == first
+
+
+def test_a_content_that_is_larger_than_the_folder_may_be_drops_no_other(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    part = cache_folder.Kept("part", "form/1")
+    part.keep(folder, "small", {"text": ""})
+    monkeypatch.setattr(cache_folder, "MOST_BYTES", 100)
+    part.keep(folder, "large", {"text": 100 * "a"})
+    assert [path.name for path in kept(folder)] == ["small.json"]
+
+
+def test_an_interrupted_writing_leaves_no_file(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(path: Path, text: str) -> None:
+        path.write_bytes(text.encode()[:9])
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cache_folder.Path, "write_text", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        cache_folder.Kept("part", "form/1").keep(folder, "key", {})
+    assert [path.name for path in folder.rglob("*")] == ["part"]
 
 
 def test_a_user_without_a_home_has_no_cache(monkeypatch: pytest.MonkeyPatch) -> None:

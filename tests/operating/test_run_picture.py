@@ -86,9 +86,17 @@ def test_a_reason_that_several_targets_share_is_told_once() -> None:
     targets = [TargetView(label, "T", f"/{label}", 0, None, why) for label, why in reasons.items()]
     text = "\n".join(drawn(replace(SNAPSHOT, targets=tuple(targets)), width=200))
     assert re.search(
-        r"a +/a +targets a, b want T, but input i of x needs U, and no output matches +$", text, re.MULTILINE
+        r"a +/a +targets a and 1 more want T, but input i of x needs U, and no output matches +$", text, re.MULTILINE
     )
     assert re.search(r"b +/b +as a +$", text, re.MULTILINE)
+
+
+def test_the_cause_of_many_targets_is_on_the_line() -> None:
+    """All of the targets were named before it, and the line was cut."""
+    labels = [f"target{number}" for number in range(40)]
+    targets = [TargetView(label, "T", f"/{label}", 0, None, f"target {label} wants T, but no one") for label in labels]
+    text = "\n".join(drawn(replace(SNAPSHOT, targets=tuple(targets)), width=140))
+    assert "target0 and 39 more want T, but no one" in text
 
 
 @pytest.mark.parametrize("width", [60, 80, 120, 300])

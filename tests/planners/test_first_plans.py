@@ -186,3 +186,20 @@ def test_spares_are_dropped_one_by_one_with_a_look_at_the_clock_before_each() ->
     dropped = [before for before, after in pairwise(seen) if after == "drop"]
     assert dropped
     assert set(dropped) == {"look"}
+
+
+@pytest.mark.parametrize(
+    ("problem", "attempts"),
+    [
+        (instances.both(0, 30, 3), USUAL.begin.attempts),
+        (instances.weighted(0, 30, 3), USUAL.begin.attempts),
+        (instances.hosted(0, 30, 3), 0),
+    ],
+    ids=["quality", "weighed", "hosts alone"],
+)
+def test_members_of_a_small_first_plan_are_tried_to_be_left_out_where_quality_counts(
+    problem: Problem, attempts: int
+) -> None:
+    with patch.object(FirstPlans, "look", autospec=True, side_effect=FirstPlans.look) as look:
+        PLANNERS["cpsat"](problem)
+    assert [call.args[1] for call in look.call_args_list][:1] == [attempts]

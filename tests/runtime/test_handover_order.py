@@ -162,6 +162,32 @@ def test_a_state_counts_as_not_exact_only_if_an_element_is_missing(network: str,
         assert rises(numbers) == ({1, 2} if is_lost else {1})
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_elements_that_wait_in_a_unit_are_handed_over_though_their_source_blocks(seed: int) -> None:
+    """They wait for those of another source. Since both block, it is unknown from where on the next unit gets all."""
+    places = NETWORKS["two all"]
+    house = House([*library(places, RunOptions(queue=100_000), 0)], CAMERAS, Random(seed).randrange)
+    with closing(house):
+        old, new = (made({"A": places["A"]}, {"A": number})["A"] for number in (0, 1))
+        house.apply(start(*map(unit, house.cameras), old))
+        house.go_on(200)
+        house.blocked = {"other.1"}
+        house.go_on(200)
+        house.blocked = {*house.cameras}
+        house.apply(ChangeSet(started=(new,), stopped=(old.id,)))
+        assert 0.5 in house.timed_out
+        for camera in house.cameras.values():
+            camera.turn()
+        house.blocked = set()
+        house.go_on(600)
+        house.settle()
+        assert house.inexact == []
+        came = house.outlets.came["/A"]
+        assert rises([step for step, _, _ in came]) == {1}
+        for port in "ab":
+            assert rises([inputs[port] for _, inputs, _ in came]) == {1}
+
+
 def rises(numbers: list[int]) -> set[int]:
     assert len(numbers) > 2
     return {after - before for before, after in pairwise(numbers)}

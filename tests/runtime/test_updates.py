@@ -358,7 +358,7 @@ def test_a_unit_goes_on_with_the_present_state_of_the_one_that_it_replaces(scene
 def test_an_update_goes_on_with_the_last_known_state_if_the_unit_that_it_replaces_dies(
     last: type[Command], said: str
 ) -> None:
-    scene = Scene(MODES, mute={"high.1"})
+    scene = Scene(MODES, mute={"high.1", "low.1"})
     commands = carry_out(scene, LOWER, environment_after(scene.environment, LOWER), Patience())
     while not isinstance(command := next(commands), last):
         scene.obey(command)
@@ -370,6 +370,16 @@ def test_an_update_goes_on_with_the_last_known_state_if_the_unit_that_it_replace
             scene.obey(next(commands))
     assert "give low.1 what is known []" in scene.said
     assert f"low.1 after high.1: {said}" in scene.said
+    assert "wait in vain" not in scene.said, "nothing is awaited from a unit that is gone"
+
+
+def test_no_later_place_excludes_that_an_element_of_a_new_source_is_missing() -> None:
+    """Its place is its first element, which has become a step by then."""
+    scene = Scene(MODES, mute={"low.1"})
+    new = unit("count.2"), unit("low.1", topic="/result", x="count.2/n")
+    scene.carry_out(ChangeSet(started=new, stopped=("count.1", "high.1")))
+    assert scene.places == [{"x": True}]
+    assert "low.1 after high.1: an input of low.1 got nothing within 0.5 s" in scene.said
 
 
 def test_no_exception_is_told_of_a_hand_over_that_is_undone() -> None:

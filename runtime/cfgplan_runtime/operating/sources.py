@@ -135,7 +135,7 @@ class Sources(FileWatch):
         if labels:
             self.look_at(library, [label for each in labels.values() for label in each])
         for path, of_file in sorted(labels.items()):
-            now = self._digests[path]
+            now = digest_of(path)
             known = [unit.id for unit in self._running() if unit.transformation in of_file and not unit.standby]
             units = [unit for unit in known if self._started.get(unit, {}).get(path) != now]
             if not units or self._faults.keys() & {*of_file}:
