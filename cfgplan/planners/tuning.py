@@ -90,7 +90,7 @@ class Rise:
 
     landmarks: int = row(20, "landmarks", "After this many new ones reduced costs restrict the network.", LIBRARIES)
     patience: float = row(50.0, "steps/label", "The gap must close in so much work, if closing follows.", LIBRARIES)
-    narrowed: float = row(2.0, "steps/label^1.5", "The same, once reduced costs have left labels out.", LIBRARIES)
+    narrowed: float = row(2.0, "steps/label^1.5", "At least this, once reduced costs have left labels out.", LIBRARIES)
     last_patience: float = row(20.0, "steps/label^1.5", "The same, if the solver follows at once.", LIBRARIES)
     landmark: float = row(150.0, "steps", "The work for a landmark: a fixed part.", TIMED)
     need: float = row(0.04, "steps/need", "The work for a landmark: for each need in the network.", TIMED)

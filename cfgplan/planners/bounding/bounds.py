@@ -190,10 +190,9 @@ def tightened(bound: Bound, enough: int, limit: int, clock: Clock, *, greedily: 
         if keep.sum() < 0.8 * len(keep):
             bound = bound.restricted(keep)
         labels = bound.core.goal
-        if greedily:
-            patience = rise.patience * labels if labels == whole else rise.narrowed * labels**1.5
-        else:
-            patience = rise.last_patience * labels**1.5
+        patience = rise.patience * labels if greedily else rise.last_patience * labels**1.5
+        if greedily and labels < whole:
+            patience = max(patience, rise.narrowed * labels**1.5)
         each = rise.landmark + rise.need * len(bound.core.needs.items) + rise.link * bound.core.deep_links
         bound.improve(enough, rise.landmarks, clock.is_over)
         if bound.value < enough and not _pays(bound.value - before, enough - before, rise.landmarks * each, patience):
