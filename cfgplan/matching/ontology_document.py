@@ -1,7 +1,7 @@
-"""One ontology file as it was read, and the folder in which it is kept between runs.
+"""The parsed form of an ontology file, and its copy in the cache folder.
 
-Reading a kept file takes about a tenth of the time, and imports no parser. Its key is a hash of the file's content, its
-names, and of the code that reads: the parser's and the one beside this file.
+Reading the copy takes about a tenth of the time, and imports no parser. Its key is a hash of the file's content, the
+file's names, and the sizes and times of the code that reads it: the parser's, and that of this room.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
-from cfgplan.cache_folder import Kept
+from cfgplan.cache_folder import CachePart
 from cfgplan.canonical import normal
 from cfgplan.matching.functional import Signature, parse, signature_of
 
-_DOCUMENTS: Final = Kept("ontologies", "cfgplan-ontology/1")
+_DOCUMENTS: Final = CachePart("ontologies", "cfgplan-ontology/1")
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def keep_document(folder: Path, key: str, document: OntologyDocument) -> Ontolog
 
 @cache
 def _mark_of_readers() -> tuple[tuple[str, int, int], ...]:
-    """Names, sizes and times of the files with the code that reads ontologies: others may read differently."""
+    """Names, sizes and times of the files with the code that reads ontologies: another version may read differently."""
     parser = find_spec("pyhornedowl")
     folders = Path(__file__).parent, *map(Path, (parser and parser.submodule_search_locations) or ())
     files = sorted(path for folder in folders for path in folder.iterdir() if path.is_file())

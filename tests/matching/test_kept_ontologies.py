@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -155,6 +156,20 @@ def test_the_oldest_files_go_first(files: Path, folder: Path, monkeypatch: pytes
         load_ontology([files], cache=folder)
     assert 0 < sum(file.stat().st_size for file in kept(folder)) <= 3_000
     assert any("Camera8" in file.read_text() for file in kept(folder))
+
+
+def test_files_that_killed_processes_left_half_written_go_with_the_oldest(
+    files: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cache_folder, "MOST_FILES", 1)
+    load_ontology([files], cache=folder)
+    (file,) = kept(folder)
+    half = file.with_suffix(".7.tmp")
+    half.write_text("{")
+    os.utime(half, (0, 0))
+    files.write_text(TURTLE.replace("Camera", "Lamp"))
+    load_ontology([files], cache=folder)
+    assert not half.exists()
 
 
 def test_a_user_without_a_home_has_no_cache(monkeypatch: pytest.MonkeyPatch) -> None:
