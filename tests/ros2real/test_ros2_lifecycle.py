@@ -180,7 +180,7 @@ def test_a_node_that_refuses_to_be_deactivated_ends_and_that_is_told(
     runtime.apply(change_set)
     runtime.apply(ChangeSet((keeper("keeper.1"),), stopped=("stubborn.1",)))
     eventually(lambda: ("stubborn.1", "UnitStopped") in told)
-    assert ("stubborn.1", "cfgplan: /stubborn_1 can't be deactivated: it is active") in told
+    assert ("stubborn.1", "cfgplan: /stubborn_1 could not be deactivated; its state is active") in told
 
 
 def test_a_node_that_is_being_deactivated_for_too_long_ends(runtime: Runtime, told: list[tuple[str, str]]) -> None:
