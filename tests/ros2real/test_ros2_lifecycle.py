@@ -126,8 +126,8 @@ def test_the_first_message_of_a_source_comes_since_it_is_activated_last(
 @pytest.mark.parametrize(
     ("how", "cause"),
     [
-        ("refuse", "/worse_1 can't be {verb}: it is {state}"),
-        ("raise", "/worse_1 can't be {verb}: it is unconfigured"),
+        ("refuse", "/worse_1 could not be {verb}; its state is {state}"),
+        ("raise", "/worse_1 could not be {verb}; its state is unconfigured"),
         ("die", "ended with exit status 3"),
     ],
 )
