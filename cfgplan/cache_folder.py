@@ -31,14 +31,14 @@ def cache_folder() -> Path | None:
 
 
 @dataclass(frozen=True)
-class Kept:
-    """A part of a cache folder. Raise the number in its `form` whenever what is kept would be wrong."""
+class CachePart:
+    """A part of a cache folder. Raise the number in its `form` whenever files of the present form would be wrong."""
 
     part: str
     form: str
 
     def find(self, folder: Path, key: str) -> dict[str, Any] | None:
-        """Return the content that is kept under a key; None if there is none of this form."""
+        """Return the content that is kept under a key; None if it is missing or has another form."""
         try:
             content = json.loads((folder / self.part / f"{key}.json").read_bytes())
             return content if (content["format"], content["key"]) == (self.form, key) else None
@@ -63,7 +63,7 @@ class Kept:
 
 
 def _drop_the_oldest(part: Path) -> None:
-    files = [(path.stat(), path) for path in part.glob("*.json")]
+    files = [(path.stat(), path) for path in part.iterdir()]  # also those that killed processes left half written
     taken = 0
     for number, (about, path) in enumerate(sorted(files, key=lambda file: file[0].st_mtime_ns, reverse=True), start=1):
         taken += about.st_size

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from cfgplan_runtime.operating.control_client import Control
     from cfgplan_runtime.operating.protocol import RefusedError
 
+_DONE = "Done."
 _CTL_EXAMPLE = """\
 example:
   cfgplan ctl state
@@ -204,7 +205,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
                     return _change(control, screen, "add", params, f"Added {name}.", options.wait)
                 case "fact":
                     params = dict(zip(("name", "value"), options.operand, strict=True))
-                    return _change(control, screen, "fact", params, "Done.", options.wait)
+                    return _change(control, screen, "fact", params, _DONE, options.wait)
                 case "observed":
                     return _observed(control, screen, options)
                 case "plan":
@@ -215,10 +216,10 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
                     return Exit.OK
                 case "apply":
                     params = {"name": options.operand, "text": text}
-                    return _change(control, screen, "apply", params, "Done.", options.wait)
+                    return _change(control, screen, "apply", params, _DONE, options.wait)
             command = next(command for command in _COMMANDS if command.name == options.command)
             params = {command.key: options.operand} if command.key else {}
-            return _change(control, screen, command.method, params, "Done.", options.wait)
+            return _change(control, screen, command.method, params, _DONE, options.wait)
         except RefusedError as error:
             raise InputError(_faults(error, options)) from None
 
@@ -304,8 +305,8 @@ def _change(control: Control, screen: Screen, method: str, params: dict[str, Any
     elif review is None:
         screen.show(f"{done} That changes nothing.")
     else:
-        screen.show(done)
-        screen.show(review["says"])
+        is_done = review["decision"] != "failed" or done != _DONE
+        screen.show("\n".join([done] * is_done + [review["says"]]))
     if review is not None and review["decision"] == "failed":
         return Exit.BAD_INPUT
     return Exit.OK if review is None else _met(not reason for reason in review["unmet"].values())

@@ -65,10 +65,10 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
                 for number, received in enumerate(_received(subscription, tap, end), 1):
                     latency_ms = (subscription.now_ns() - received.time_ns) / 1e6
                     times.append(received.time_ns / 1e9)
-                    rate = (len(times) - 1) / (times[-1] - times[0]) if times[-1] > times[0] else 0.0
+                    rate = (len(times) - 1) / (times[-1] - times[0]) if times[-1] > times[0] else None
                     if screen.json:
                         line = {"topic": options.topic, "time_ns": received.time_ns, "value": plain(received.value)}
-                        more = {"latency_ms": round(latency_ms, 3), "rate_hz": round(rate, 2)}
+                        more = {"latency_ms": round(latency_ms, 3), "rate_hz": None if rate is None else round(rate, 2)}
                         screen.write_json({**line, **more, "dropped": subscription.dropped})
                     else:
                         at = exact_clock_time(received.time_ns)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 _SET_UP_S = 60.0
 """The longest wait for the first review."""
 _ASKS_S = 0.1
-"""Seconds between two looks whether a target is met."""
+"""The interval at which unmet targets are looked at again."""
 _EXITS = {"true": Exit.OK, "false": Exit.INVALID, "open": Exit.NOT_PROVEN, "unknown": Exit.NO_ANSWER}
 
 

@@ -12,11 +12,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from cfgplan.cache_folder import Kept
+from cfgplan.cache_folder import CachePart
 from cfgplan.domain import Similarity
 from cfgplan.matching.ontology import Ontology
 
-_ANSWERS: Final = Kept("matching", "cfgplan-matching/5")
+_ANSWERS: Final = CachePart("matching", "cfgplan-matching/5")
 """Its number is raised whenever tags or ontologies are read differently."""
 
 

@@ -120,6 +120,8 @@ def near_offers(
 
     A tag that lacks all conjuncts is returned only if no other is near and its spelling is similar. Raises as `match`.
     """
+    if not demanded_tags:
+        return {}
     parts = {tag: conjuncts(parse_tag(tag, ontology), ontology) for tag in demanded_tags}
     every = {part for of_tag in parts.values() for part in of_tag}
     similarity = match(offered_tags, every, ontology, reasoner=reasoner, time_limit_s=time_limit_s).similarity

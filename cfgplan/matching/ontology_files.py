@@ -182,7 +182,7 @@ def _with_own_anonymous(axiom: str, number: int) -> str:
 
 
 def _read(path: Path, shown: str, cache: Path | None = None) -> OntologyDocument:
-    """Read one file, or what was kept of it. Raises InputError."""
+    """Read one file, or take its parsed form from the cache. Raises InputError."""
     try:
         content = content_of(path)
     except FileNotFoundError:

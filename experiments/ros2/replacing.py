@@ -94,7 +94,7 @@ def replaced(way: str, replacements: int) -> Replaced:
     """Replace the node so many times, once a second at most."""
     lines: queue.SimpleQueue[tuple[int, int]] = queue.SimpleQueue()
     told: dict[tuple[str, str], int] = {}
-    """What each unit has told, by unit and word."""
+    """The last number that each unit has printed with each word."""
 
     def note(event: Event) -> None:
         if isinstance(event, UnitPrinted):

@@ -6,6 +6,9 @@ from collections.abc import Iterable
 
 from cfgplan.errors import CfgplanError
 
+UNDONE = "the update was undone"
+"""The first words of an ApplyError of the supervisor; the cause follows."""
+
 
 class RuntimeFaultError(CfgplanError):
     """Base class of the errors of carrying out plans."""

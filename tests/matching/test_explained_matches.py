@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 from realistic import realistic_world
 
-from cfgplan.matching import Ontology, explain_match, justifications, match, near_offers
+from cfgplan.matching import Ontology, explain_match, explanation, justifications, match, near_offers
 
 
 def test_a_match_is_derived_step_by_step_from_axioms(streams: Ontology) -> None:
@@ -74,6 +74,16 @@ def test_the_nearest_offers_lack_least(streams: Ontology) -> None:
         ("RawRGB ⊓ ∃hasSource.{cam1}", ("Undistorted",)),
         ("Undistorted", ("∃hasSource.Camera",)),
     ]
+
+
+def test_no_demand_has_no_offers_and_needs_no_reasoner(streams: Ontology, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`check` of a file without running units once took most of its time for them."""
+
+    def reason(*_: object, **__: object) -> None:
+        raise AssertionError("a reasoner is asked")
+
+    monkeypatch.setattr(explanation, "match", reason)
+    assert near_offers([], ["Image"], streams) == {}
 
 
 @pytest.mark.parametrize("seed", range(2))

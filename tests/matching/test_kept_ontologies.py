@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -158,6 +159,7 @@ def test_the_oldest_files_go_first(files: Path, folder: Path, monkeypatch: pytes
     assert any("Camera8" in file.read_text() for file in kept(folder))
 
 
+<<<<<<< HEAD
 def test_an_ontology_of_many_files_is_kept_as_a_whole(
     files: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -190,6 +192,20 @@ def test_an_interrupted_writing_leaves_no_file(folder: Path, monkeypatch: pytest
     with pytest.raises(KeyboardInterrupt):
         cache_folder.Kept("part", "form/1").keep(folder, "key", {})
     assert [path.name for path in folder.rglob("*")] == ["part"]
+=======
+def test_files_that_killed_processes_left_half_written_go_with_the_oldest(
+    files: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cache_folder, "MOST_FILES", 1)
+    load_ontology([files], cache=folder)
+    (file,) = kept(folder)
+    half = file.with_suffix(".7.tmp")
+    half.write_text("{")
+    os.utime(half, (0, 0))
+    files.write_text(TURTLE.replace("Camera", "Lamp"))
+    load_ontology([files], cache=folder)
+    assert not half.exists()
+>>>>>>> words59
 
 
 def test_a_user_without_a_home_has_no_cache(monkeypatch: pytest.MonkeyPatch) -> None:

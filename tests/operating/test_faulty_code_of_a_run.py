@@ -105,13 +105,17 @@ def test_edited_code_is_advised_to_be_restarted_and_a_restart_uses_it(
         unit = min(one["id"] for one in first)
         assert f"`cfgplan ctl restart {shlex.quote(unit)}` replaces it by a new one" in told
         assert main(["ctl", "restart", unit]) == 0
-        assert f"stopped {unit}" in capsys.readouterr().out
+        out = capsys.readouterr().out
+        assert out.startswith("Done.\n")
+        assert f"stopped {unit}" in out
         review = await_event(run, "Reviewed", decision="applied")
         assert (review["perturbations"][0]["kind"], review["change_set"]["stopped"]) == ("RestartAsked", [unit])
         (env.parent / "units.py").write_text(UNITS + "\nraise ValueError('no lens')\n")
         await_event(run, "Warning")
         assert main(["ctl", "restart", review["change_set"]["started"][0]["id"]]) == 30
-        assert "no lens" in capsys.readouterr().out
+        out = capsys.readouterr().out
+        assert "no lens" in out
+        assert "Done." not in out
         assert main(["ctl", "logs", review["change_set"]["started"][0]["transformation"]]) == 0
         assert "ValueError: no lens" in capsys.readouterr().out
 

@@ -178,6 +178,8 @@ def test_what_is_lost_by_a_death_is_not_told_as_another_reason() -> None:
         REVIEW, decision=Decision.FAILED, cause="camera.1 Traceback (most recent call last):\n x\nOSError: no"
     )
     assert "the update failed: camera.1 OSError: no" in "\n".join(drawn(replace(SNAPSHOT, reviews=(failed,))))
+    undone = replace(failed, cause="the update was undone: a.1 died")
+    assert ": the update was undone: a.1 died; " in "\n".join(drawn(replace(SNAPSHOT, reviews=(undone,))))
 
 
 def test_what_units_print_does_nothing_to_the_terminal() -> None:

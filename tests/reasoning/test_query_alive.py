@@ -212,7 +212,7 @@ def test_what_a_run_can_not_decide_is_named_to_whoever_asks_for_it(
     ("source", "why"),
     [
         ("", "cam (it has no unit code: add `source: package.module:Class` or `source: units.py:Class`)"),
-        (", source: 'units.py:camra'", "env.yaml:2:57: cam can't be started: units.py: units.py has no camra"),
+        (", source: 'units.py:camra'", "env.yaml:2:57: cam can't be started: units.py: the file has no camra"),
     ],
 )
 def test_a_target_of_the_file_that_no_unit_can_meet_ends_the_query(

@@ -180,7 +180,7 @@ def test_a_refusal_has_the_state_as_its_cause_and_ends_the_way(state: int, confi
     configured.life.go(ACTIVE)
     configured.done(2, success=False)
     configured.says(state)
-    assert configured.life.cause == f"can't be activated: it is {LABELS[state]}"
+    assert configured.life.cause == f"could not be activated; its state is {LABELS[state]}"
     configured.life.go(ACTIVE)
     configured.pass_time()
     assert configured.orders == [CONFIGURE, ACTIVATE]

@@ -140,7 +140,7 @@ def test_a_component_that_refuses_to_be_configured_is_unloaded_and_the_others_st
     with running("--middleware", "ros2", path) as run:
         await_event(run, "UnitPrinted", line="unloaded /shouter_1")
         died = await_event(run, "UnitDied")
-        assert died["cause"] == "/shouter_1 can't be configured: it is unconfigured"
+        assert died["cause"] == "/shouter_1 could not be configured; its state is unconfigured"
         assert died["unit"] == "shouter.1"
         run.terminate()
         run.communicate()

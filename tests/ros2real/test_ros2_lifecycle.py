@@ -126,8 +126,8 @@ def test_the_first_message_of_a_source_comes_since_it_is_activated_last(
 @pytest.mark.parametrize(
     ("how", "cause"),
     [
-        ("refuse", "/worse_1 can't be {verb}: it is {state}"),
-        ("raise", "/worse_1 can't be {verb}: it is unconfigured"),
+        ("refuse", "/worse_1 could not be {verb}; its state is {state}"),
+        ("raise", "/worse_1 could not be {verb}; its state is unconfigured"),
         ("die", "ended with exit status 3"),
     ],
 )
@@ -180,7 +180,7 @@ def test_a_node_that_refuses_to_be_deactivated_ends_and_that_is_told(
     runtime.apply(change_set)
     runtime.apply(ChangeSet((keeper("keeper.1"),), stopped=("stubborn.1",)))
     eventually(lambda: ("stubborn.1", "UnitStopped") in told)
-    assert ("stubborn.1", "cfgplan: /stubborn_1 can't be deactivated: it is active") in told
+    assert ("stubborn.1", "cfgplan: /stubborn_1 could not be deactivated; its state is active") in told
 
 
 def test_a_node_that_is_being_deactivated_for_too_long_ends(runtime: Runtime, told: list[tuple[str, str]]) -> None:

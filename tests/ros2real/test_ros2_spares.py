@@ -104,7 +104,7 @@ def test_a_lifecycle_node_is_configured_and_activated(runtime: Runtime, observer
 def test_a_lifecycle_node_that_can_not_be_configured_is_told_of(
     runtime: Runtime, told: Callable[[type[Event]], Event]
 ) -> None:
-    cause = "/worker_1 can't be configured: it is unconfigured"
+    cause = "/worker_1 could not be configured; its state is unconfigured"
     with pytest.raises(ApplyError, match=f"worker.1 died: {cause}"):
         begin(runtime, replace(WORKER, params={"lame": True}))
     assert told(UnitDied) == UnitDied("worker.1", cause)

@@ -73,6 +73,7 @@ def test_what_is_planned_runs_until_it_is_interrupted(env: Path, end: signal.Sig
         assert main(["listen", "/result", "--count", "3", "--json", "--run", begin["run"], "--wait", "30s"]) == 0
         lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
         assert [line["value"]["x"] for line in lines] == [1, 1, 1]
+        assert [line["rate_hz"] is None for line in lines] == [True, False, False]
         assert lines[0]["value"]["pixels"] == {"dtype": "uint8", "shape": [4, 4], "data": [[7] * 4] * 4}
         assert main(["listen", "/result", "--count", "2"]) == 0
         assert "<array of 4 x 4 uint8>" in capsys.readouterr().out
@@ -150,7 +151,7 @@ def test_a_unit_without_source_is_told_and_not_started(env: Path, capsys: pytest
 def test_code_that_does_not_exist_is_told(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
     env.write_text(ENVIRONMENT.replace("units.py:camera", "units.py:kamera"))
     assert main(["run", str(env), "--for", "1s"]) == 12
-    assert "units.py has no kamera" in capsys.readouterr().out
+    assert "units.py: the file has no kamera" in capsys.readouterr().out
 
 
 def test_where_everything_must_be_met_nothing_is_started_otherwise(

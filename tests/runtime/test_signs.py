@@ -44,7 +44,7 @@ def test_an_idle_unit_gives_few_signs_and_a_working_one_a_sign_a_second(run_unit
 def test_a_source_tells_its_first_element_and_those_of_slow_calls_before_its_code_is_called_again(
     monkeypatch: pytest.MonkeyPatch, call_ms: int, told: list[int]
 ) -> None:
-    """That call may block for long: a map that comes once, for example."""
+    """The next call may block for long: a map that comes once, for example."""
     clock, said = SimpleNamespace(now_ns=0), list[FromChild]()
     times = SimpleNamespace(monotonic_ns=lambda: clock.now_ns, process_time_ns=lambda: 0)
     monkeypatch.setattr("cfgplan_runtime.children.unit_child.time", times)

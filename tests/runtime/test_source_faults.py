@@ -55,7 +55,7 @@ def told(folder: Path, of: Transformation) -> str:
         (
             GOOD,
             transformation("units.py:Detektor", "image", threshold=5),
-            "units.py: units.py has no Detektor (did you mean `Detector`?)",
+            "units.py: the file has no Detektor (did you mean `Detector`?)",
         ),
         (
             GOOD,
@@ -132,7 +132,7 @@ def told(folder: Path, of: Transformation) -> str:
         (
             "x = 3\n",
             transformation("units.py:lamp"),
-            "units.py: units.py has no lamp (it has nothing that can be called)",
+            "units.py: the file has no lamp (it has nothing that can be called)",
         ),
         (
             GOOD,
@@ -167,7 +167,7 @@ def test_no_code_is_run(tmp_path: Path) -> None:
     (tmp_path / "loud" / "__init__.py").write_text("raise RuntimeError('was imported')\n")
     (tmp_path / "loud" / "units.py").write_text("raise RuntimeError('was run')\n" + GOOD)
     assert told(tmp_path, transformation("loud.units:camera")) == ""
-    assert told(tmp_path, transformation("loud.units:lamp")).startswith("loud/units.py: loud.units has no lamp")
+    assert told(tmp_path, transformation("loud.units:lamp")).startswith("loud/units.py: the file has no lamp")
 
 
 NAMES = ("a", "b", "c")

@@ -32,7 +32,7 @@ of the time drop none.
 """
 
 
-class _Kept:
+class _WaitingElements:
     """The elements that an inlet keeps, the oldest first."""
 
     def __init__(self, elements: Iterable[Element] = ()) -> None:
@@ -57,15 +57,15 @@ class Handover:
         self._steps = steps
         self._ports = ports
         self._limit = queue
-        self._held: dict[str, _Kept] | None = None
+        self._held: dict[str, _WaitingElements] | None = None
         """By inlet the elements that the steps have not got yet; None if they get each at once."""
         self._most: float = _MOST_HELD
         self.is_waiting = False
         """Whether the unit waits for its state; no step begins before it comes."""
         self._sought: Mapping[str, bool] | None = None
-        """The inlets whose places are asked for; True: its first element is its place. None if nobody asks."""
+        """The inlets whose places are asked for; True: its first element is its place. None: not asked."""
         self._asked: Mapping[str, Moment] | None = None
-        """The elements after which the state is told, by inlet; None if nobody asks."""
+        """The elements after which the state is told, by inlet; None: not asked."""
         self._is_paused = False
         """Whether the unit has told its state: the next unit makes the steps from there on."""
 
@@ -86,13 +86,13 @@ class Handover:
     def keep(self, inlet: str, element: Element, *, may_drop: bool) -> None:
         """Keep an element for later steps. Without room the oldest of its inlet is dropped, if it `may_drop`."""
         assert self._held is not None
-        kept = self._held.setdefault(inlet, _Kept())
+        kept = self._held.setdefault(inlet, _WaitingElements())
         kept.append(element)
         while may_drop and self._are_too_many(kept, len(kept.elements)):
             kept.take()
             self._steps.dropped[port_of(inlet)] += 1
 
-    def _are_too_many(self, kept: _Kept, number: int) -> bool:
+    def _are_too_many(self, kept: _WaitingElements, number: int) -> bool:
         """Whether an inlet has no room for this number of elements."""
         return number > self._most or (number > self._limit and kept.bytes > MOST_WAITING_BYTES)
 
@@ -128,8 +128,8 @@ class Handover:
                 before = [Element(one.time_ns, one.turn, 0, one.payload) for one in given.elements]
                 received = self._ports.inputs[inlet].inlet
                 received.last = max(received.last, given.done, *(one.moment for one in before))
-                kept = held.get(inlet, _Kept()).elements
-                held[inlet] = _Kept(self._steps.begin_at(inlet, given.done, chain(before, kept)))
+                kept = held.get(inlet, _WaitingElements()).elements
+                held[inlet] = _WaitingElements(self._steps.begin_at(inlet, given.done, chain(before, kept)))
         self._held = held
 
     def refill(self) -> None:
@@ -160,7 +160,7 @@ class Handover:
         for name, is_first in self._sought.items():
             port = self._ports.inputs.get(name)
             for receiver in () if port is None else port.receivers.values():
-                kept = (self._held or {}).get(name, _Kept()).elements
+                kept = (self._held or {}).get(name, _WaitingElements()).elements
                 place = receiver.place if not is_first else kept[0].moment if kept else None
                 if place is None:
                     return None

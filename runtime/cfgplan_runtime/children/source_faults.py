@@ -101,7 +101,7 @@ def _check_python(transformation: Transformation, source: str, folder: Path) -> 
         _check_own(transformation, place, name)
     module = _read(path, _stamp(path))
     _check_imports(module, [path.parent, folder])
-    definition = module.named(name.partition(".")[0], place)
+    definition = module.named(name.partition(".")[0])
     if definition is not None and "." not in name and not module.is_dynamic:
         _Unit(transformation, module, name).check(definition)
 
@@ -150,12 +150,12 @@ class _Module:
             column = max(column, line.find(node.name, column + len("def")))
         return column + 1
 
-    def named(self, name: str, place: str) -> _Definition | None:
+    def named(self, name: str) -> _Definition | None:
         """The one definition of a name; None if it is made in another way. Raises InputError if there is none."""
         if name not in self.names and not self.is_dynamic:
             callables = [one.name for one in self.tree.body if isinstance(one, _Definition)]
             there = some(callables, _MOST_NAMED) if callables else "nothing that can be called"
-            raise self.fault(f"{place} has no {name}", None, did_you_mean(name, callables, f"it has {there}"))
+            raise self.fault(f"the file has no {name}", None, did_you_mean(name, callables, f"it has {there}"))
         found = [one for one in self.tree.body if isinstance(one, _Definition) and one.name == name]
         others = [one for one in _bound(self.tree.body) if one == name]
         return found[0] if len(found) == len(others) == 1 and not found[0].decorator_list else None
@@ -369,7 +369,7 @@ class _Unit:
             if isinstance(base, ast.Name) and base.id == "object":
                 continue
             with suppress(InputError):
-                found = self.module.named(base.id, "") if isinstance(base, ast.Name) else None
+                found = self.module.named(base.id) if isinstance(base, ast.Name) else None
                 if isinstance(found, ast.ClassDef):
                     yield from self._line(found, depth + 1)
                     continue

@@ -10,7 +10,7 @@ from cfgplan.amounts import span
 from cfgplan.domain import ChangeSet
 from cfgplan.reasons import shared_reasons
 from cfgplan.summary import some
-from cfgplan_runtime.errors import RuntimeFaultError
+from cfgplan_runtime.errors import UNDONE, RuntimeFaultError
 from cfgplan_runtime.lifecycle.reports import Decision, Review, Snapshot
 
 if TYPE_CHECKING:
@@ -35,7 +35,8 @@ def decision(review: Review) -> str:
             saving = span((review.cost_before_us - (review.cost_us or 0)) / 1e6)
             return f"no change needed now; replanning at the horizon would save {saving} of CPU"
         case Decision.FAILED:
-            return f"the update failed: {short(review.cause)}"
+            cause = short(review.cause)
+            return cause if cause.startswith(UNDONE) else f"the update failed: {cause}"
     return f"no decision: {short(review.cause)}"
 
 

@@ -29,7 +29,7 @@ class Attend(msgspec.Struct, tag=True):
     With `waits` it is a cold spare of a lifecycle node, which is only configured. With `asks` the helper calls the node
     each second and reports its answers. With `is_watched` the helper reports when the node has left the graph. With
     `has_clock` the node's parameters say which clock it goes by. A lifecycle node is configured; with `is_active` it
-    was activated before, and is to be active.
+    was activated before, and becomes active again.
     """
 
     unit: str

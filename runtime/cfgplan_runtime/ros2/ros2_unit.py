@@ -204,7 +204,7 @@ def _check_parameter(place: str, value: object) -> None:
     values = list(value) if isinstance(value, Mapping | Sequence) and not isinstance(value, str) else [value]
     kinds = {type(one) for one in values}
     if not values:
-        mend = "leave it out: ROS 2 does not know of which kind an empty value is, and gives the node none"
+        mend = "leave it out: an empty value has no type, so ROS 2 gives the node none"
     elif not all(kind in _PLAIN for kind in kinds) or len(kinds) > 1:
         mend = "write a number, a text, true or false, or a list of one kind of these (1.0 and 2, say, are two kinds)"
     elif kinds == {int} and not all(one in _INTEGERS for one in values):

@@ -80,7 +80,7 @@ class Handovers:
     paused: dict[str, Mapping[str, Moment]] = field(default_factory=dict)
     """The units that have told their state and pause, with the moment of each output's last element."""
     exceptions: list[TellOf | Doubt] = field(default_factory=list)
-    """The states that are not exact, or that later answers may show not to be."""
+    """The states that are not exact, and those that later answers may show to be inexact."""
     vain_s: list[float] = field(default_factory=list)
     """The seconds of each wait in vain in hand-overs to units without a state."""
 
@@ -120,7 +120,7 @@ class Handovers:
             yield GiveState(unit)
 
     def release(self, kept: Set[str]) -> Commands:
-        """Let the units of these continue that still wait for a state."""
+        """Let the kept units that still wait for a state continue without one."""
         for unit in sorted(kept & self.held):
             yield GiveState(unit)
 
@@ -183,7 +183,8 @@ class Handovers:
 
     def await_part(self, successor: str, holds: Callable[[], bool], patience_s: float) -> Commands:
         """Wait for a part of a hand-over. In all hand-overs to units without a state together, an update waits at most
-        _STATE_S in vain, and then _ANSWER_S for each part: they are more exact, but nobody should notice them.
+        _STATE_S in vain, and then _ANSWER_S for each part: they only make streams more exact, and must not delay
+        an update noticeably.
         """
         update, has_state = self.update, self.has_state(successor)
         began_s = update.actual.now()
@@ -240,7 +241,7 @@ class Handovers:
             cause = f"did not tell its state within {_STATE_S:g} s" if is_alive else "died before it told its state"
             self.note_exception(before, successor, f"{before} {cause}")
             if is_alive:
-                yield GiveState(before)  # it must not pause later: nobody else makes the steps that wait in it
+                yield GiveState(before)  # it must not pause later: no other unit makes the steps that wait in it
             return
         if not told.state:
             self.note_exception(before, successor, f"the code of {before} gives no state")

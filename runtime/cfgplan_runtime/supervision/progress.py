@@ -1,4 +1,4 @@
-"""An update under way: its aim, what it has done so far, and the running configuration that it reads."""
+"""An update under way: its aim, its steps so far, and the running configuration that it reads."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class Progress:
     fresh: set[str] = field(default_factory=set)
     """The units that the update connects for the first time: new ones, and those that an undone update has kept."""
     needed: set[str] = field(default_factory=set)
-    """The units without which the update is undone: those of the fresh ones that have not begun yet."""
+    """The fresh units that have not begun yet: if one dies, the update is undone."""
 
     @property
     def started(self) -> list[str]:

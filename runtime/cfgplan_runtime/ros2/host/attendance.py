@@ -117,7 +117,7 @@ class Attendance:
             self._look()
 
     def _change_state(self, order: dict[str, Any]) -> None:
-        """Activate or deactivate a lifecycle node; one whose lifecycle is found later then."""
+        """Activate or deactivate a lifecycle node, as soon as its lifecycle is found."""
         node = self._nodes.get(order["unit"])
         if node is not None:
             node.goal = ACTIVE if order["is_active"] else INACTIVE
@@ -196,9 +196,9 @@ class Attendance:
                 self._look()
 
     def _has_come(self, node: AttendedNode, life: Lifecycle) -> bool:
-        """Lead a lifecycle node on to its state. Returns whether it is there, and has to have its ports now.
+        """Lead a lifecycle node to its goal. Returns whether it has reached it, and must have its ports now.
 
-        One that has activated itself is only deactivated if it was reported before.
+        A node that has activated itself is deactivated only if it was reported before.
         """
         if life.cause:
             self._fail(node, life.cause)

@@ -27,10 +27,9 @@ _CHANGING_S = 0.1
 
 
 class Lifecycle:
-    """One node's life. `changed` is called when it has come to another `state`, or when it refuses to, with a
-    `cause`.
+    """One node's life. `changed` is called when it has reached another `state`, or has refused to, with a `cause`.
 
-    A node's answer about its state decides: an order that it refuses may come late, when it is there already.
+    The node's answer about its state decides: it may refuse a late order because it has reached the state already.
     """
 
     def __init__(self, host: Host, name: str, changed: Callable[[], None]) -> None:
@@ -44,7 +43,7 @@ class Lifecycle:
         self._orders: set[int] = set()
         """The numbers of the requests for the step under way."""
         self._questions: dict[int, bool] = {}
-        """Those for the state, each with whether the node has refused the step before."""
+        """The numbers of the requests for the state, each with whether the node has refused the step before."""
         self._change = host.node.create_client(ChangeState, f"{name}/change_state")
         self._get = host.node.create_client(GetState, f"{name}/get_state")
         host.waiting.watch("client", self._change.handle, self._hear_change)
@@ -107,7 +106,7 @@ class Lifecycle:
             self._note(found.id)
         else:
             _, verb = _TRANSITIONS.get((self.state, self._next or INACTIVE), (0, "configured"))
-            self.cause = f"can't be {verb}: it is {found.label}"
+            self.cause = f"could not be {verb}; its state is {found.label}"
             self._note(self.state)
 
     def _ask_again(self, serial: int, *, is_refused: bool) -> None:
