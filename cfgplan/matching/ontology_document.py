@@ -1,12 +1,7 @@
 """The parsed form of an ontology file, and its copy in the cache folder.
 
-<<<<<<< HEAD
 Reading a kept file takes about a tenth of the time, and imports no parser. Its key is a hash of the file's content, its
 names, and of the code that reads: the parsers' and the one beside this file.
-=======
-Reading the copy takes about a tenth of the time, and imports no parser. Its key is a hash of the file's content, the
-file's names, and the sizes and times of the code that reads it: the parser's, and that of this room.
->>>>>>> words59
 """
 
 from __future__ import annotations
@@ -83,15 +78,9 @@ def keep_document(folder: Path, key: str, document: OntologyDocument) -> Ontolog
 
 @cache
 def _mark_of_readers() -> tuple[tuple[str, int, int], ...]:
-<<<<<<< HEAD
-    """Names, sizes and times of the files with the code that reads ontologies: others may read differently."""
+    """Names, sizes and times of the files with the code that reads ontologies: another version may read differently."""
     specs = map(find_spec, ("pyhornedowl", "pyoxigraph"))
     parsers = chain.from_iterable((spec and spec.submodule_search_locations) or () for spec in specs)
     folders = Path(__file__).parent, *map(Path, parsers)
-=======
-    """Names, sizes and times of the files with the code that reads ontologies: another version may read differently."""
-    parser = find_spec("pyhornedowl")
-    folders = Path(__file__).parent, *map(Path, (parser and parser.submodule_search_locations) or ())
->>>>>>> words59
     files = sorted(path for folder in folders for path in folder.iterdir() if path.is_file())
     return tuple((file.name, about.st_size, about.st_mtime_ns) for file in files for about in [file.stat()])

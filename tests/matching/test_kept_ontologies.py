@@ -159,7 +159,6 @@ def test_the_oldest_files_go_first(files: Path, folder: Path, monkeypatch: pytes
     assert any("Camera8" in file.read_text() for file in kept(folder))
 
 
-<<<<<<< HEAD
 def test_an_ontology_of_many_files_is_kept_as_a_whole(
     files: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -176,7 +175,7 @@ def test_an_ontology_of_many_files_is_kept_as_a_whole(
 def test_a_content_that_is_larger_than_the_folder_may_be_drops_no_other(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    part = cache_folder.Kept("part", "form/1")
+    part = cache_folder.CachePart("part", "form/1")
     part.keep(folder, "small", {"text": ""})
     monkeypatch.setattr(cache_folder, "MOST_BYTES", 100)
     part.keep(folder, "large", {"text": 100 * "a"})
@@ -190,9 +189,10 @@ def test_an_interrupted_writing_leaves_no_file(folder: Path, monkeypatch: pytest
 
     monkeypatch.setattr(cache_folder.Path, "write_text", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        cache_folder.Kept("part", "form/1").keep(folder, "key", {})
+        cache_folder.CachePart("part", "form/1").keep(folder, "key", {})
     assert [path.name for path in folder.rglob("*")] == ["part"]
-=======
+
+
 def test_files_that_killed_processes_left_half_written_go_with_the_oldest(
     files: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -205,7 +205,6 @@ def test_files_that_killed_processes_left_half_written_go_with_the_oldest(
     files.write_text(TURTLE.replace("Camera", "Lamp"))
     load_ontology([files], cache=folder)
     assert not half.exists()
->>>>>>> words59
 
 
 def test_a_user_without_a_home_has_no_cache(monkeypatch: pytest.MonkeyPatch) -> None:
