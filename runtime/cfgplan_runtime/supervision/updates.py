@@ -211,7 +211,7 @@ class _Update:
                 progress.rewired[inlet] = None if fed is None else fed.stream
                 yield Connect(stream, inlet)
         # Elements that a unit gives before it is connected would be lost, such as messages that a broker has kept.
-        yield from self.begin()
+        yield from self.activate(progress.after.unit.keys(), waits=True)
         yield from self.handovers.carry_out()
         starved = progress.idle_units() | self.handovers.paused_sources
         yield WaitUntil(lambda: bool(progress.dead()) or progress.may_end(starved), self.patience.switch_s)
@@ -233,26 +233,21 @@ class _Update:
                 self.patience.follow_s,
             )
 
-    def activate(self, units: Iterable[str]) -> Commands:
-        """Activate the inactive ones of these units, sources last, since the others wait for elements."""
-        progress = self.progress
-        new = progress.actual.inactive & set(units)
-        inputs = {
-            unit.id: bool(progress.after.transformation[unit.transformation].inputs) for unit in progress.after.units
-        }
-        for unit in sorted(new, key=lambda unit: (not inputs[unit], unit)):
-            self.activated.add(unit)
-            yield ActivateUnit(unit)
+    def activate(self, units: Set[str], *, waits: bool = False) -> Commands:
+        """Activate the inactive ones of these units, sources last, since the others wait for elements.
 
-    def begin(self) -> Commands:
-        """Activate all inactive units. Sources begin once all others work: a lifecycle node takes a while, and elements
-        that come before are lost.
+        If it `waits`, sources begin once all others work: a lifecycle node takes a while, and elements that come before
+        are lost.
         """
-        units, library = self.progress.after.units, self.progress.after.transformation
-        inner = [unit.id for unit in units if library[unit.transformation].inputs]
-        for group in (inner, [unit.id for unit in units]):
-            yield from self.activate(group)
-            if self.activating():
+        progress = self.progress
+        after = progress.after
+        sources = {unit.id for unit in after.units if not after.transformation[unit.transformation].inputs}
+        new = progress.actual.inactive & units
+        for group in (new - sources, new & sources):
+            for unit in sorted(group):
+                self.activated.add(unit)
+                yield ActivateUnit(unit)
+            if waits and self.activating():
                 slow = yield from self.await_none(self.activating, "being activated")
                 if slow:
                     raise StepFailedError(f"{_were(slow)} not active within {self.patience.start_s:g} s", slow)
