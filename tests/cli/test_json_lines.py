@@ -61,7 +61,7 @@ def bad_commands(draw: st.DrawFn) -> list[str]:
     bad = ["--bogus", *(each.option_strings[-1] for each in valued)]
     options = draw(st.lists(st.sampled_from(bad), max_size=2))
     words += [f"{option}={draw(st.sampled_from(BAD_NUMBERS))}" for option in options]
-    return [*command, "--json", *(words if operands else ["--bogus", *words])]
+    return [*command, "--json", *(words or ["--bogus"])]
 
 
 @settings(max_examples=180, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
