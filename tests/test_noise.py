@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from cfgplan import api
@@ -133,10 +133,14 @@ def test_a_spike_of_few_values_changes_nothing(
         )
 
 
-@given(st.lists(ERRORS, max_size=20), st.lists(ERRORS, min_size=3, max_size=20), st.floats(10, 1e9), RATES_HZ)
+@given(st.lists(ERRORS, max_size=20), st.lists(ERRORS, min_size=3, max_size=20), st.floats(12, 1e9), RATES_HZ)
+@example(before=[1.0], after=[0.0, 0.0, -2.0], size=12.0, rate_hz=5.0)
 def test_a_jump_that_lasts_is_followed_at_its_third_value(
     before: list[float], after: list[float], size: float, rate_hz: float
 ) -> None:
+    """From 12 standard deviations on, each value after the jump is an outlier, also if the mean is of one value:
+    12 - 2 - 2 > OUTLIER_ERRORS * sqrt(2). A smaller jump may be an ordinary error of that value.
+    """
     sigma = SIGMA.amount
     mean = NoisyMean(0, 0.0)
     for number, error in enumerate(before):

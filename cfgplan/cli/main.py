@@ -179,6 +179,7 @@ def _say_no_more() -> None:
 class Parser(argparse.ArgumentParser):
     """A parser that raises its errors as InputError. A command's parser refuses unknown arguments itself, so that its
     own help is named. A word that begins like a negative number is a value, so that the option's type refuses it.
+    No value may be an empty word: commands would take it for one that was not given.
     """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
@@ -192,6 +193,11 @@ class Parser(argparse.ArgumentParser):
             mend = did_you_mean(option, self._option_string_actions) if option.startswith("-") else None
             self.error(f"unrecognized arguments: {' '.join(unknown)}", mend or _mend_of_span(args, option))
         return known, unknown
+
+    def _get_values(self, action: argparse.Action, arg_strings: list[str]) -> Any:
+        if "" in arg_strings and action.nargs != argparse.PARSER:
+            raise argparse.ArgumentError(action, _EMPTY)
+        return super()._get_values(action, arg_strings)
 
     def error(self, message: str, mend: str | None = None) -> NoReturn:
         if joined := re.fullmatch(r"argument (-\w)/\S*: ignored explicit argument '(.*)'", message):
@@ -220,6 +226,8 @@ def _mend_of_arguments(message: str) -> str | None:
         return f"write {names} here;"
     if message.endswith("expected one argument"):
         return "write a value after it;"
+    if message.endswith(_EMPTY):
+        return "write a value (a shell's variable that is not set gives an empty word);"
     if message.startswith("unrecognized arguments: "):
         return "leave it out, or put quotes around a value with a space in it;"
     found = _CHOICE.search(message)
@@ -334,6 +342,7 @@ class LossyStream:
             os.close(nowhere)
 
 
+_EMPTY = "it is an empty word"
 _MOST_CHOICES = 8
 _CHOICE = re.compile(r"invalid choice: '(.*)' \(choose from (.*)\)")
 _MEANT = {"explain": "why", "ps": "state", "quit": "stop", "status": "state"}

@@ -217,7 +217,7 @@ def load(options: argparse.Namespace, screen: Screen, env: str | None = None) ->
 
     with screen.phase("load"):
         use_cache = not getattr(options, "no_cache", False)
-        world = api.load(env or options.env, also=getattr(options, "also", ()), use_cache=use_cache)
+        world = api.load(options.env if env is None else env, also=getattr(options, "also", ()), use_cache=use_cache)
         if not hasattr(options, "also") or not asks_what_if(options):
             return world
         return api.what_if(world, without=options.without, settings=dict(options.settings), observed=options.observed)

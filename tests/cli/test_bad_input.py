@@ -87,8 +87,9 @@ def test_a_command_that_is_wrong_says_what_and_how_to_mend_it(
 
 @pytest.mark.usefixtures("env")
 def test_the_name_of_no_file_and_of_no_host_is_bad_input(run: Run) -> None:
-    told = "error: the name of the environment file is empty\n    $ cfgplan solve ''\n                    ^^\n"
-    assert run("solve", "") == (30, "", f"{told}       name a file\n")
+    told = "error: argument ENV: it is an empty word\n    $ cfgplan solve ''\n                    ^^\n"
+    mend = "write a value (a shell's variable that is not set gives an empty word); cfgplan solve --help tells more"
+    assert run("solve", "") == (30, "", f"{told}       {mend}\n")
     assert run("agent", "--name", "").code == 30
 
 

@@ -56,11 +56,11 @@ def bad_commands(draw: st.DrawFn) -> list[str]:
     command = draw(st.sampled_from(COMMANDS))
     parser = parser_of(command)
     operands = [each for each in parser._actions if not each.option_strings]
-    valued = [each for each in parser._actions if each.option_strings and callable(each.type) and each.nargs is None]
+    valued = [each for each in parser._actions if each.option_strings and each.nargs is None]
     words = [draw(st.sampled_from(BAD_FILES)) for each in operands if each.required or draw(st.booleans())]
-    bad = ["--bogus", *(each.option_strings[-1] for each in valued)]
-    options = draw(st.lists(st.sampled_from(bad), max_size=2))
-    words += [f"{option}={draw(st.sampled_from(BAD_NUMBERS))}" for option in options]
+    bad = {each.option_strings[-1]: BAD_NUMBERS if callable(each.type) else [""] for each in valued}
+    options = draw(st.lists(st.sampled_from(["--bogus", *bad]), max_size=2))
+    words += [f"{option}={draw(st.sampled_from(bad.get(option, BAD_NUMBERS)))}" for option in options]
     return [*command, "--json", *(words or ["--bogus"])]
 
 

@@ -376,7 +376,7 @@ def test_a_run_goes_from_the_camera_to_the_beacon_at_night_and_back_at_dawn(tmp_
     shutil.copytree(nao, tmp_path / "nao")
     env = tmp_path / "nao" / "8-night.yaml"
     env.write_text(env.read_text().replace("day_s: 120", "day_s: 12").replace("noise: 5 %, ", ""))
-    with running(env, "--estimator", "declared") as process:
+    with running(env) as process:
         seen = list[str]()
         while len(seen) < 3:
             changes = await_event(process, "Reviewed")["change_set"]
