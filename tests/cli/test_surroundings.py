@@ -61,7 +61,7 @@ def test_without_a_verb_there_is_help(run: Run) -> None:
             ["graph", FUSION, "--out", "nodir/a.svg"],
             "argument --out: 'nodir/a.svg' can't be written: there is no folder",
         ),
-        (["sensitivity", FUSION, "--out", ""], "argument --out: '' is a folder: name a file"),
+        (["sensitivity", FUSION, "--out", ""], "argument --out: it is an empty word"),
         (
             ["export", "schema", "--out", "a" * 300],
             f"argument --out: {'a' * 300!r} can't be written: File name too long",

@@ -104,7 +104,7 @@ def await_event(process: subprocess.Popen[str], event: str, **facts: Any) -> dic
     assert process.stdout is not None
     for line in process.stdout:
         told: dict[str, Any] = json.loads(line)
-        assert "errors" not in told, f"the run did not begin: {line}"
+        assert "event" in told, f"the run did not begin: {line}"
         if told["event"] == event and all(told.get(key) == value for key, value in facts.items()):
             return told
     raise AssertionError(f"the run ended without {event}: {process.stderr.read() if process.stderr else ''}")
