@@ -84,7 +84,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan_runtime.reasoning.queries import UnmetTargetsError
 
-    from cfgplan.reasons import shared_reasons
+    from cfgplan.unmet import shared_reasons
 
     try:
         return _run(options, screen)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from cfgplan.explaining.why_this import Choice, Why
 from cfgplan.figures import amount
 from cfgplan.summary import some
+from cfgplan.unmet import shared_reasons
 
 
 def why_lines(why: Why) -> Iterator[str]:
@@ -30,15 +31,9 @@ def why_lines(why: Why) -> Iterator[str]:
 def forced_by(why: Why) -> str:
     """Return, in words, the demands that can't be met without the subject."""
     if why.otherwise.reasons:
-        return "; ".join(_unmet(f"target {label} ", reason) for label, reason in why.otherwise.reasons.items())
+        return "; ".join(f"without it, {one.text}" for one in shared_reasons(why.otherwise.reasons))
     demands = f"{named_labels('target', why.targets)} with the others" if why.targets else "all demands"
     return f"no valid configuration without it meets {demands}"
-
-
-def _unmet(target: str, reason: str) -> str:
-    if not reason.startswith(target):
-        return f"without it, {reason}"
-    return f"without it {target}can't be met: it {reason.removeprefix(target)}"
 
 
 def instead(why: Why) -> str:

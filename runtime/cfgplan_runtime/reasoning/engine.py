@@ -16,6 +16,7 @@ from contextlib import suppress
 from typing import Any, NamedTuple
 
 from cfgplan.domain import Target
+from cfgplan.unmet import Reason
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.reasoning import queries
 from cfgplan_runtime.reasoning.conditions import Evaluator
@@ -119,7 +120,7 @@ class Engine:
             while reasons := self._subscriptions.unmet([target.label for target in targets]):
                 if time.monotonic() >= begin + wait_s:
                     told = {
-                        names[label]: why.replace(f"target {label}", names[label]) for label, why in reasons.items()
+                        names[label]: Reason.of(why).about("feature", names[label]) for label, why in reasons.items()
                     }
                     raise queries.UnmetTargetsError(told)
                 time.sleep(_ENGINE_LOOK_S)
