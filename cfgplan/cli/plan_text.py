@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator
 
-from cfgplan.amounts import core_share
+from cfgplan.amounts import core_share, short_core_share
 from cfgplan.cli.screen import counted, decided_by
 from cfgplan.cli.styled import Text
 from cfgplan.costs import keep_cost_us, labor_us, standby_cost_us, upkeep_us
@@ -330,7 +330,7 @@ def _amount(host: Host, resource: str, taken: int, horizon_s: int) -> str:
     """Return the use of a resource and its limit: `9 % of a core (limit 40 %)`, `300 of 500 MB`, `1 of 2 gpu`."""
     room = host.room(resource, horizon_s)
     if resource == CPU:
-        limit = "" if room is None else f" (limit {core_share(room).removesuffix(' of a core')})"
+        limit = "" if room is None else f" (limit {short_core_share(room)})"
         return f"{core_share(taken)}{limit}"
     unit = {MEMORY: "MB", POWER: "W"}.get(resource, resource)
     return f"{taken}{'' if room is None else f' of {room}'} {unit}"

@@ -227,8 +227,8 @@ def as_text(screen: Screen, formula: str, *, verbose: bool) -> Callable[[QueryRe
                 streams = ", ".join(f"{name} on {topic}" for name, topic in topics.items())
                 since = span(screen.seconds.get("set up", 0.0) + seconds)
                 screen.note(f"Set up in {since}: {streams or 'no streams are needed'}.")
-            case queries.Noted(text):
-                screen.note(text, style="yellow" if verbose or "unknown" in text else "dim")
+            case queries.Noted(text, is_unknown):
+                screen.note(text, style="yellow" if verbose or is_unknown else "dim")
             case queries.Progressed():
                 situation = (report.waiting, report.possible, report.missing)
                 if situation != last[0]:

@@ -19,7 +19,7 @@ from rich.rule import Rule
 from rich.table import Table
 from rich.text import Text
 
-from cfgplan.amounts import clock_time, core_share, rate, span
+from cfgplan.amounts import clock_time, core_share, rate, short_core_share, span
 from cfgplan.cli.plan_text import in_stream_order
 from cfgplan.cli.run_output import RunOutput, fetched, show_files, show_ledger
 from cfgplan.cli.screen import Screen, counted, printable
@@ -284,7 +284,7 @@ def _unit(unit: Mapping[str, Any], more: list[Text]) -> list[Text]:
     return [
         Text(unit["id"]),
         *more,
-        Text("" if unit["upkeep_us"] is None else core_share(unit["upkeep_us"]).removesuffix(" of a core")),
+        Text("" if unit["upkeep_us"] is None else short_core_share(unit["upkeep_us"])),
         Text(f"{unit['memory_bytes'] >> 20} MB"),
         Text(f"{unit['steps_per_s']:.1f}"),
         *(Text(str(unit[key]), style="yellow" if unit[key] else "dim") for key in ("dropped", "errors")),

@@ -144,7 +144,7 @@ def without_names(_: Any, apply: Any, change_set: ChangeSet, **more: Any) -> Any
     try:
         return apply(change_set, **more)
     except ApplyError as error:
-        raise ApplyError(str(error)) from None
+        raise ApplyError(error.cause) from None
 
 
 def forgetful(middleware: Any, apply: Any, change_set: ChangeSet, **more: Any) -> Any:

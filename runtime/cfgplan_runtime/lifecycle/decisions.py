@@ -416,10 +416,10 @@ def _failed(transition: Transition, updating: Updating, error: Exception) -> tup
                 transition = transition.situated(replace(situation, back_offs=refusing)).telling_back_off(label)
         case errors.AbandonedError(units=slow):
             transition, postponed = _postponed(transition, slow)
-            failed = UpdateFailed(str(error), postponed)
+            failed = UpdateFailed(error.cause, postponed, is_undone=True)
         case errors.ApplyError(units=slow):
-            transition, blamed = _blamed(transition, updating, slow, str(error))
-            failed = UpdateFailed(str(error), blamed)
+            transition, blamed = _blamed(transition, updating, slow, error.cause)
+            failed = UpdateFailed(error.cause, blamed, is_undone=True)
         case _:
             failed = UpdateFailed(f"the middleware failed: {type(error).__name__}: {error}", is_fault=True)
     gone = updating.starting.union(slow).difference(transition.state.running.unit)
@@ -505,6 +505,7 @@ def _record(state: State, planning: Planning, findings: Findings, failed: Update
         "" if failed is None else failed.cause,
         findings.undecided,
         external_units(findings.change_set, findings.planned),
+        failed is not None and failed.is_undone,
     )
 
 

@@ -38,8 +38,7 @@ def decision(review: Review) -> str:
             saving = span((review.cost_before_us - (review.cost_us or 0)) / 1e6)
             return f"no change needed now; replanning at the horizon would save {saving} of CPU"
         case Decision.FAILED:
-            cause = short(review.cause)
-            return cause if cause.startswith(UNDONE) else f"the update failed: {cause}"
+            return f"{UNDONE if review.is_undone else 'the update failed'}: {short(review.cause)}"
     return f"no decision: {short(review.cause)}"
 
 

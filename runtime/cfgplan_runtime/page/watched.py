@@ -147,7 +147,7 @@ class Watched:
     def moment(self, review: int) -> Record:
         """Return the state right after a review, as viewers get it. Raises RefusedError and ControlError."""
         with self._reach() as control:
-            return _seen(control.call("state", timeout_s=_RUN_S, review=review))
+            return as_seen(control.call("state", timeout_s=_RUN_S, review=review))
 
     def _topic_of(self, stream: str) -> str:
         """Return a topic that shows a stream, or a target's topic, to observers. Raises RefusedError, ControlError."""
@@ -191,7 +191,7 @@ class Watched:
                 reviews = ("reviews", json.dumps(state["reviews"]))
                 if reviews != self._reviews:
                     self._tell(reviews)
-                self._tell(("state", json.dumps(_seen(state))))
+                self._tell(("state", json.dumps(as_seen(state))))
                 if not self.has_ended.wait(FRAME_S):
                     self._is_due.wait(REFRESH_S - FRAME_S)
 
@@ -219,7 +219,7 @@ def _time(event: Record) -> Record:
     return {"time_s": event["time_s"]} if "time_s" in event else {}
 
 
-def _seen(state: Record) -> Record:
+def as_seen(state: Record) -> Record:
     """A state as viewers get it: with its health, each reason and cause once, and the source lines of faults."""
     del state["transformations"], state["reviews"]
     units = [

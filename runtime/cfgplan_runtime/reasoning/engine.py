@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from typing import Any, NamedTuple
 
 from cfgplan.domain import Target
@@ -59,9 +60,9 @@ class Engine:
         self._subscriptions = subscriptions
         self._report = report
         self._name = name or os.urandom(3).hex()
-        self._inbox: queue.SimpleQueue[tuple[str, Any, int] | Exception | str | _Ended] = queue.SimpleQueue()
+        self._inbox: queue.SimpleQueue[tuple[str, Any, int] | Exception | queries.Noted | _Ended] = queue.SimpleQueue()
         self._is_over = threading.Event()
-        self._evaluator = Evaluator(query.program, query.declared.regions, self._note)
+        self._evaluator = Evaluator(query.program, query.declared.regions, partial(self._note, is_unknown=True))
         self._streams: Synchroniser | None = None
         self._ahead_ns = 0
         """The difference of the run's clock from `_now_ns`."""
@@ -185,8 +186,8 @@ class Engine:
             for _ in range(_MOST_AT_ONCE):
                 if isinstance(found, Exception):
                     raise found
-                if isinstance(found, str):
-                    self._report(queries.Noted(found))
+                if isinstance(found, queries.Noted):
+                    self._report(found)
                 elif isinstance(found, _Ended):
                     self._ended.add(found.feature)
                     self._report(queries.Noted(f"the stream of {found.feature} has ended"))
@@ -249,8 +250,8 @@ class Engine:
         with suppress(queue.Empty):
             while True:
                 found = self._inbox.get_nowait()
-                if isinstance(found, str):
-                    self._report(queries.Noted(found))
+                if isinstance(found, queries.Noted):
+                    self._report(found)
 
-    def _note(self, text: str) -> None:
-        self._inbox.put(text)
+    def _note(self, text: str, *, is_unknown: bool = False) -> None:
+        self._inbox.put(queries.Noted(text, is_unknown))
