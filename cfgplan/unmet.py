@@ -79,6 +79,12 @@ class Reason(str):
     def __reduce__(self) -> tuple[object, ...]:
         return _made, (self.lack, self.name, self.wanted, self.noun, self.verb)
 
+    @property
+    def fault(self) -> str:
+        """The sentence without the subject and its wish, where the rest is a sentence; else all of it."""
+        is_whole = self.wanted is None or bool(self.lack.left_out)
+        return str(self) if is_whole else _sentence("", None, [self.lack], 1, sys.maxsize)
+
     def about(self, noun: str, name: str) -> Reason:
         """Return the same reason with another subject; one without a subject stays as it is."""
         return Reason(self.lack, name, self.wanted, noun=noun, verb=self.verb) if self.name else self

@@ -79,6 +79,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     with task.planned(screen) as work:
         problem, plan = api.solved(task.problem, **planning, report=work.report)
     if plan.change_set is None:
+        _check_named(options, problem.environment)
         with screen.phase("explain"):
             why = answers.why_not(world, problem, **reasoning, **planning)
         _show_why_not(problem, why, screen, world.environment)
@@ -153,6 +154,15 @@ def _subjects(options: argparse.Namespace, problem: Problem, plan: Plan) -> list
     if options.subject:
         known(name, {*after.transformation, *units}, "unit, transformation or stream")
     return [("transformation", name)]
+
+
+def _check_named(options: argparse.Namespace, environment: Environment) -> None:
+    """Raise InputError if nothing that could be in a plan has the name that is asked for."""
+    name = options.subject or options.unit or options.transformation or options.stream or ""
+    owner = name.rpartition("/")[0] or name
+    names = {*environment.transformation, *environment.unit}
+    if name and names.isdisjoint((name, owner, owner.rpartition(".")[0])):
+        known(name, names, "unit, transformation or stream")
 
 
 def _stream(name: str, after: Environment) -> tuple[Subject, str]:
@@ -267,7 +277,7 @@ def table_lines(whys: Sequence[Why]) -> Iterator[str]:
 def _briefly(why: Why) -> str:
     match why.choice:
         case Choice.FORCED:
-            return f"needed: {forced_by(why)}"
+            return f"needed: {forced_by(why, is_brief=True)}"
         case Choice.CHEAPER:
             return f"without it {amount(why.decides, why.difference or 0)} more"
         case Choice.LESS_CHANGE:
