@@ -162,7 +162,7 @@ def _shared(labels: Sequence[str], reasons: Sequence[Reason], most: int) -> Shar
     first, lacks = reasons[0], [reason.lack for reason in reasons]
     is_about = first.name == labels[0]
     if len(labels) == 1 or not is_about:
-        return SharedReason(tuple(labels), first, is_about, _named_left_out(lacks[:1], 1, most))
+        return SharedReason(tuple(labels), str(first), is_about, _named_left_out(lacks[:1], 1, most))
     of = grouped((reason.wanted, label) for label, reason in zip(labels, reasons, strict=True))
     leads = (_lead(these, first.noun, wanted, first.verb, most) for wanted, these in of.items())
     text = _sentence(some(leads, most), first.wanted, lacks, len(labels), most)

@@ -333,6 +333,7 @@ def _planned(transition: Transition, planned: Planned) -> Transition:
         return _planning(transition, planning)
     for label in findings.hurried:
         transition = _shortened(transition, label)
+    transition = transition.telling_of_failed()
     if findings.change_set is None:
         return _reviewed(transition, planning, findings, UpdateFailed(findings.cause))
     return _carried_out(transition, planning, findings)
@@ -364,7 +365,8 @@ def _shortened(transition: Transition, label: str) -> Transition:
     back_offs = situation.back_offs.shortening(label, transition.at_s)
     if back_offs is situation.back_offs:
         return transition
-    return transition.situated(replace(situation, back_offs=back_offs)).telling_back_off(label)
+    transition = transition.situated(replace(situation, back_offs=back_offs))
+    return transition.to(replace(transition.state, failed=transition.state.failed | {label}))
 
 
 def _updated(transition: Transition, updated: Updated) -> Transition:
