@@ -674,7 +674,7 @@ def test_the_end_stops_all_units_and_tells_everybody(state: State) -> None:
     state, effects = after(state, 4.0, Finished())
     answers = {answer.outcome: str(answer.answer) for answer in found(effects, Respond)}
     assert answers[stop.outcome] == "None"
-    assert answers[kill.outcome] == answers[late.outcome] == "the manager has ended"
+    assert answers[kill.outcome] == answers[late.outcome] == "the run has ended"
     assert (state.is_over, effects[-1]) == (True, Tell(Ended("")))
 
 

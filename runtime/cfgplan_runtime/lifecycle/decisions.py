@@ -554,7 +554,7 @@ def _finished(transition: Transition, cause: str) -> Transition:
     left = [outcome for outcomes in state.waiting.values() for outcome in outcomes]
     left += [outcome for entry in entries for outcome in entry.outcomes]
     left += [request.outcome for request in state.given]
-    error = errors.RuntimeFaultError("the manager has ended")
+    error = errors.RuntimeFaultError("the run has ended")
     nothing = replace(state, doing=None, entries=(), waiting={}, stops=(), given=(), previews=(), is_over=True)
     transition = transition.to(nothing).also(*(Respond(outcome, error) for outcome in state.previews))
     transition = transition.also(*(Respond(outcome) for outcome in state.stops))
