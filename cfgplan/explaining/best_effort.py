@@ -219,6 +219,10 @@ class _Search:
         return None if self.end_s is None else max(0.0, self.end_s - time.monotonic())
 
     def _why(self, target: Target) -> Reason:
+        alone = self._plan(frozenset({target}))
+        known = Reason.of(alone.reasons.get(target.label, ""))
+        if alone.status is Status.INFEASIBLE and known.name == target.label:  # its sentence says all
+            return known
         return Reason(Lack(self._lack(target)), target.label, target.tag)
 
     def _lack(self, target: Target) -> str:
