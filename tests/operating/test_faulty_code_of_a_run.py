@@ -93,10 +93,8 @@ def test_a_run_that_could_start_nothing_does_not_begin(env: Path, capsys: pytest
     (env.parent / "units.py").write_text(BROKEN)
     assert main(["run", str(env)]) == 30
     said = capsys.readouterr().err
-    assert (
-        f"error: {env.with_name('units.py')}:1:8: camera(piff), detector(piff) can't be started: it imports nosuchmodule"
-        in said
-    )
+    told = "camera(piff), detector(piff) can't be started: it imports nosuchmodule"
+    assert f"error: {env.with_name('units.py')}:1:8: {told}" in said
     assert "    1 | import nosuchmodule\n      |        ^^^^^^^^^^^^" in said
 
 
