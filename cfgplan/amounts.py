@@ -38,8 +38,13 @@ def rate(hertz: float) -> str:
 
 def core_share(cpu_us_per_s: float) -> str:
     """CPU time per second of time, in microseconds, as a share of a core: `5 % of a core`, `2.35 cores`."""
+    return short_core_share(cpu_us_per_s, " of a core")
+
+
+def short_core_share(cpu_us_per_s: float, of: str = "") -> str:
+    """The same where it is clear that a core is meant: `5 %`, `2.35 cores`. `of` follows a percentage."""
     percent = cpu_us_per_s / 1e4
-    return f"{_three(percent / 100)} cores" if percent >= 199.95 else f"{_three(percent)} % of a core"
+    return f"{_three(percent / 100)} cores" if percent >= 199.95 else f"{_three(percent)} %{of}"
 
 
 def mbit(bytes_per_s: float) -> str:

@@ -37,10 +37,11 @@ Seconds: TypeAlias = Annotated[float, AtLeast(0)]
 
 
 class _MisfitError(Exception):
-    """A value does not fit; `shown` says which one, in an error's words."""
+    """A value, or a `is_part` of it, does not fit; `shown` says which one, in an error's words."""
 
-    def __init__(self, shown: str) -> None:
+    def __init__(self, shown: str, *, is_part: bool = False) -> None:
         self.shown = shown
+        self.is_part = is_part
 
 
 @dataclass(frozen=True, eq=False)
@@ -331,7 +332,7 @@ def _any_of(kinds: list[_Kind]) -> _Kind:
                 return kind.read(value)
             except _MisfitError as misfit:
                 misfits.append(misfit)
-        raise next((each for each in misfits if not each.shown.startswith("is ")), misfits[0])
+        raise next((each for each in misfits if each.is_part), misfits[0])
 
     exact = frozenset[type]().union(*(kind.exact for kind in kinds))
     least = next((kind.least for kind in kinds if kind.least is not None), None)
@@ -347,7 +348,7 @@ def _items(values: Iterable[Any], item: _Kind) -> list[Any] | None:
         try:
             read.append(value if type(value) in item.exact else item.read(value))
         except _MisfitError:
-            raise _MisfitError(f"has {_shown(value)} in it") from None
+            raise _MisfitError(f"has {_shown(value)} in it", is_part=True) from None
     return None if all(one is other for one, other in zip(read, values, strict=True)) else read
 
 

@@ -1,31 +1,20 @@
-"""Reasons in words why a target can't be met, from the forward closure of the startable transformations."""
+"""Reasons why a target can't be met, from the forward closure of the startable transformations."""
 
 from __future__ import annotations
 
-import re
-import sys
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from itertools import chain
-from typing import Final, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 from cfgplan.domain import A_UNIT_OF, Environment, Similarity, Transformation
 from cfgplan.onward import grouped
 from cfgplan.planning import Problem
-from cfgplan.summary import some
+from cfgplan.unmet import Lack, NeededBy, Reason
 
-LEFT_OUT: Final = "left out for now"
-"""A reason with these words names transformations that facts or failures forbid."""
-_MOST_OMITTED = 3
-"""A reason names at most this many omitted transformations of one cause, and as many causes; `omitted` of the
-environment has all.
-"""
-_WANTED = re.compile(r"(?P<tag>.+?), but (?P<fault>.+)", re.DOTALL)
-_UNMATCHED = re.compile(r"(?P<of>input .+? of .+?) needs (?P<fault>.+, and no output matches)", re.DOTALL)
-_OMITTED = re.compile(rf"needs (?P<fault>transformations that are {LEFT_OUT}: )(?P<of>.+?)(?P<why> \(.+)", re.DOTALL)
-"""The parts of a reason: after the target its tag, and the fault, with the inputs or transformations that have it."""
+_UNMATCHED = "no output matches"
 Item = TypeVar("Item")
 
 
@@ -37,7 +26,7 @@ class Each(Protocol):
 
 def unmet_reasons(
     problem: Problem, providers: Providers | None = None, possible: frozenset[str] | None = None
-) -> dict[str, str]:
+) -> dict[str, Reason]:
     """Return one short reason for each target, by its label, that no update can meet; empty if all may be met.
 
     Pass `providers` and the `startable` labels as `possible` if they are known already.
@@ -49,10 +38,10 @@ def unmet_reasons(
     if not unmet:
         return {}
     dead_ends = _DeadEnds(environment, problem.similarity.optimistic, possible)
-    return {target.label: dead_ends.reason(f"target {target.label}", target.tag) for target in unmet}
+    return {target.label: Reason(dead_ends.lack(target.tag), target.label, target.tag) for target in unmet}
 
 
-def pinned_reasons(problem: Problem) -> dict[str, str]:
+def pinned_reasons(problem: Problem) -> dict[str, Reason]:
     """One short reason for each pinned unit, by its id, that is not kept since nothing is known to feed it."""
     environment, library = problem.environment, problem.environment.transformation
     pinned = [u for u in environment.units if u.transformation in library and library[u.transformation].pinned]
@@ -66,67 +55,19 @@ def pinned_reasons(problem: Problem) -> dict[str, str]:
         if unit.transformation not in possible and not unit.standby:
             ports = library[unit.transformation].needed_inputs
             unfed = [port for port in ports if possible.isdisjoint(providers.of(port.tag))]
-            why = "its inputs need different transformations, and there are too few"
+            lead = f"pinned unit {unit.id} can't be fed:"
             if unit.transformation in optimistic:
-                why = "it is not decided yet whether its possible feeders match"
+                found[unit.id] = Reason(Lack(f"{lead} it is not decided yet whether its possible feeders match"))
             elif unfed:
-                dead_ends = _DeadEnds(environment, problem.similarity, possible)
-                why = dead_ends.reason(f"its input {unfed[0].name}", unfed[0].tag)
-            found[unit.id] = f"pinned unit {unit.id} can't be fed: {why}"
+                port, dead_ends = unfed[0], _DeadEnds(environment, problem.similarity, possible)
+                found[unit.id] = Reason(dead_ends.lack(port.tag), port.name, port.tag, noun=f"{lead} its input")
+            else:
+                why = "its inputs need different transformations, and there are too few"
+                found[unit.id] = Reason(Lack(f"{lead} {why}"))
     return found
 
 
-@dataclass(frozen=True)
-class SharedReason:
-    """Why targets are not met; `labels` are these targets. The text is a sentence about them if `names_them`."""
-
-    labels: tuple[str, ...]
-    text: str
-    names_them: bool
-
-
-def shared_reasons(reasons: Mapping[str, str], most: int = sys.maxsize) -> list[SharedReason]:
-    """Return the reasons of targets, by label, so that each fault is told once, with all targets, inputs and
-    transformations that have it. At most `most` of each are named.
-    """
-    faults = grouped((_fault(label, reason), label) for label, reason in reasons.items())
-    return [_shared(fault, labels, reasons, most) for fault, labels in faults.items()]
-
-
-def _wanted(label: str, reason: str) -> re.Match[str] | None:
-    """The tag and the fault in the reason of a target; None if it names no tag."""
-    start = f"target {label} wants "
-    return _WANTED.fullmatch(reason, len(start)) if reason.startswith(start) else None
-
-
-def _fault(label: str, reason: str) -> str:
-    """The part of a target's reason that several targets may have in common."""
-    wanted = _wanted(label, reason)
-    fault = reason if wanted is None else wanted["fault"]
-    if unmatched := _UNMATCHED.fullmatch(fault):
-        return unmatched["fault"]
-    omitted = _OMITTED.fullmatch(fault)
-    return fault if omitted is None else f"{omitted['fault']}{omitted['why']}"
-
-
-def _shared(fault: str, labels: Sequence[str], reasons: Mapping[str, str], most: int) -> SharedReason:
-    wanted = {label: found for label in labels if (found := _wanted(label, reasons[label]))}
-    if len(labels) == 1 or not wanted:
-        return SharedReason(tuple(labels), reasons[labels[0]], bool(wanted))
-    leads = [
-        f"target{'s' if len(these) > 1 else ''} {some(these, most)} want{'' if len(these) > 1 else 's'} {tag}"
-        for tag, these in grouped((one["tag"], label) for label, one in wanted.items()).items()
-    ]
-    told = [one["fault"] for one in wanted.values()]
-    if inputs := dict.fromkeys(found["of"] for each in told if (found := _UNMATCHED.fullmatch(each))):
-        fault = f"{some(inputs, most)} need{'' if len(inputs) > 1 else 's'} {fault}"
-    elif omitted := [found for each in told if (found := _OMITTED.fullmatch(each))]:
-        names = dict.fromkeys(found["of"] for found in omitted)
-        fault = f"need {omitted[0]['fault']}{some(names, most)}{omitted[0]['why']}"
-    return SharedReason(tuple(labels), f"{some(leads, most)}, but {fault}", True)
-
-
-def with_pinned_reasons(given_up: Mapping[str, str], problem: Problem) -> dict[str, str]:
+def with_pinned_reasons(given_up: Mapping[str, Reason], problem: Problem) -> dict[str, Reason]:
     """Return the reasons of a plan by name: a target's label, or a pinned unit's id (`unit ID` if that is a label)."""
     reasons = dict(given_up)
     for name, why in sorted(pinned_reasons(problem).items()):
@@ -337,9 +278,9 @@ def _is_fed_by(
 
 
 class _DeadEnds:
-    """Reasons why nothing in `possible`, the startable transformations of an environment, can feed a demand.
+    """What is missing where nothing in `possible`, the startable transformations of an environment, can feed a demand.
 
-    Transformations that the environment's library omits are the reason if the demand could be fed with them.
+    Transformations that the environment's library omits are missing if the demand could be fed with them.
     """
 
     def __init__(self, environment: Environment, similarity: Similarity, possible: frozenset[str]) -> None:
@@ -352,14 +293,11 @@ class _DeadEnds:
         self._possible = startable(environment, self._providers) if self._omitted else possible
         self._possible_now = possible
 
-    def reason(self, who: str, tag: str) -> str:
-        """Return a sentence that names the nearest dead end: why nothing can feed the demand of `who` for `tag`."""
-        wanted = f"{who} wants {tag}"
+    def lack(self, tag: str) -> Lack:
+        """Return the nearest dead end: why nothing can feed a demand for `tag`."""
         if not self._possible.isdisjoint(self._providers.of(tag)):
-            labels_of = grouped((self._omitted[label], label) for label in self._omitted_for(tag))
-            named = (f"{some(labels, _MOST_OMITTED)} ({why})" for why, labels in labels_of.items())
-            return f"{wanted}, but needs transformations that are {LEFT_OUT}: {some(named, _MOST_OMITTED)}"
-        return f"{wanted}, but {self._nearest(tag)}"
+            return Lack(left_out=tuple((label, self._omitted[label]) for label in self._omitted_for(tag)))
+        return self._nearest(tag)
 
     def _omitted_for(self, tag: str) -> list[str]:
         """Return the omitted transformations whose absence keeps `tag` from being fed, the nearest first."""
@@ -377,16 +315,16 @@ class _DeadEnds:
             seen.update(new)
         return found
 
-    def _nearest(self, tag: str) -> str:
+    def _nearest(self, tag: str) -> Lack:
         providers, possible = self._providers, self._possible
         if not providers.of(tag):
-            return "there is no such one" if tag.startswith(A_UNIT_OF) else "no output matches"
+            return Lack("there is no such one" if tag.startswith(A_UNIT_OF) else _UNMATCHED)
         ahead, seen = list(providers.of(tag)), set(providers.of(tag))
         for label in ahead:
             transformation = self._environment.transformation[label]
             for port in transformation.needed_inputs:
                 if not providers.of(port.tag):
-                    return f"input {port.name} of {label} needs {port.tag}, and no output matches"
+                    return Lack(_UNMATCHED, port.tag, NeededBy(label, port.name))
             for port in transformation.needed_inputs:
                 if possible.isdisjoint(providers.of(port.tag)):
                     new = [provider for provider in providers.of(port.tag) if provider not in seen]
@@ -395,11 +333,11 @@ class _DeadEnds:
             for group in transformation.distinct_groups:
                 if assign_different({p.name: providers.of(p.tag) for p in group}) is None:
                     names = " and ".join(port.name for port in group)
-                    return f"inputs {names} of {label} need different transformations, and there are too few"
+                    return Lack(f"inputs {names} of {label} need different transformations, and there are too few")
         for label in ahead:
             transformation = self._environment.transformation[label]
             if all(not possible.isdisjoint(providers.of(port.tag)) for port in transformation.needed_inputs):
                 names = " and ".join(port.name for group in transformation.distinct_groups for port in group)
-                return f"inputs {names} of {label} need different transformations, and too few can be fed"
+                return Lack(f"inputs {names} of {label} need different transformations, and too few can be fed")
         cycle = ", ".join(ahead[:4]) + (" ..." if len(ahead) > 4 else "")
-        return f"the transformations that offer it are fed only by each other: {cycle}"
+        return Lack(f"the transformations that offer it are fed only by each other: {cycle}")

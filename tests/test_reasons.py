@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import json
+import pickle
+from copy import deepcopy
 from itertools import islice
 
 import networkx as nx
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
-from cfgplan.planning import Problem
-from cfgplan.reasons import Providers, assign_different, shared_reasons, startable, unmet_reasons
+from cfgplan.planning import Plan, Problem, Status
+from cfgplan.reasons import Providers, assign_different, startable, unmet_reasons
+from cfgplan.unmet import Lack, NeededBy, Reason, read_reason, reason_record, shared_reasons
 from cfgplan.validity.startable import different_choices_exist
 
 
@@ -204,19 +209,64 @@ def test_a_cause_of_omitted_transformations_is_told_once_with_all_of_them() -> N
 def test_a_name_with_the_words_of_a_reason_is_told_as_it_is() -> None:
     """The target `who wants A` was told as `who`, which wants something else."""
     labels = ("who wants A", "b")
-    (told,) = shared_reasons({label: f"target {label} wants B, but time ran out" for label in labels})
+    (told,) = shared_reasons({label: Reason(Lack("time ran out"), label, "B") for label in labels})
     assert (told.labels, told.text) == (labels, "targets who wants A, b want B, but time ran out")
 
 
 def test_reasons_of_other_kinds_are_shared_as_they_are() -> None:
-    late = {label: f"target {label} wants A, but time ran out" for label in "xy"}
+    late = {label: Reason(Lack("time ran out"), label, "A") for label in "xy"}
     (told,) = shared_reasons(late)
     assert (told.labels, told.text, told.names_them) == (("x", "y"), "targets x, y want A, but time ran out", True)
     (gone,) = shared_reasons(dict.fromkeys("xy", "its host r1 is gone"))
     assert (gone.labels, gone.text, gone.names_them) == (("x", "y"), "its host r1 is gone", False)
-    assert texts({f"t{n}": f"target t{n} wants A, but time ran out" for n in range(5)}, 2) == [
-        "targets t0, t1 and 3 more want A, but time ran out"
-    ]
+    many = {label: Reason(Lack("time ran out"), label, "A") for label in ("t0", "t1", "t2", "t3", "t4")}
+    assert texts(many, 2) == ["targets t0, t1 and 3 more want A, but time ran out"]
+    failing = {label: Reason(Lack("would have no stream if host r1 fails"), label) for label in "xy"}
+    assert texts(failing) == ["targets x, y would have no stream if host r1 fails"]
+    slow = {label: Reason(Lack("the best is 7 ms"), label, "delay of at most 5 ms", verb="asks for") for label in "xy"}
+    assert texts(slow) == ["targets x, y ask for delay of at most 5 ms, but the best is 7 ms"]
+
+
+def test_a_text_that_only_looks_like_a_reason_is_told_as_it_is() -> None:
+    """Sentences were taken apart: a planner's own words became the parts of another sentence."""
+    own = {label: f"target {label} wants A, but input one of two needs B, and no output matches" for label in "xy"}
+    assert texts(own) == [*own.values()]
+
+
+def test_words_of_a_reason_in_tags_and_causes_change_nothing() -> None:
+    """Causes and names with these words were cut: `night (left`, and `out)` as another cause."""
+    cause = "it needs b, and no output matches (left out for now: c, d"
+    library = [make("eye (old)", "", "A"), make("ear, but", "", "B")]
+    (told,) = texts(reasons_of(library, dict.fromkeys(("eye (old)", "ear, but"), cause), "AB"))
+    lead = "target t0 wants A, target t1 wants B, but need transformations that are left out for now"
+    assert told == f"{lead}: eye (old), ear, but ({cause})"
+
+
+REASONS = [
+    Reason(Lack("no output matches", "A", NeededBy("one", "in0")), "q", "B"),
+    Reason(Lack(left_out=(("eye", "it is night"), ("ear", "it is loud"))), "q", "B", noun="feature"),
+    Reason(Lack("the best is 7 ms", note=" (for now)"), "q", "delay of at most 5 ms", verb="asks for"),
+    Reason(Lack("would have no unit"), "q"),
+    Reason(Lack("its host r1 is gone")),
+]
+
+
+@pytest.mark.parametrize("whole", REASONS, ids=str)
+def test_a_reason_stays_whole_in_plans_copies_other_processes_and_records(whole: Reason) -> None:
+    plan = Plan("own", Status.INFEASIBLE, reasons={"q": whole})
+    ways = (plan.reasons["q"], pickle.loads(pickle.dumps(plan)).reasons["q"], deepcopy(whole))
+    record = json.loads(json.dumps(reason_record(whole)))
+    for kept in (*ways, read_reason(record)):
+        assert kept == str(whole)
+        assert reason_record(kept) == reason_record(whole) == record
+
+
+def test_the_left_out_transformations_that_a_sentence_names_are_known() -> None:
+    labels = [f"eye{n}" for n in range(5)]
+    reasons = reasons_of([make(label, "", "A") for label in labels], dict.fromkeys(labels, "it is night"), "A")
+    (told,) = shared_reasons(reasons)
+    assert told.text.endswith("eye0, eye1, eye2 and 2 more (it is night)")
+    assert told.left_out == {"eye0", "eye1", "eye2"}
 
 
 @given(

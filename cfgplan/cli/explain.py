@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from itertools import islice
 from typing import TYPE_CHECKING
 
@@ -20,8 +20,8 @@ from cfgplan.explaining import Blocked, Choice, Clash, Unfed, Unreachable, Unuse
 from cfgplan.explaining.why_words import choice_line, forced_by, instead, named_labels, why_lines
 from cfgplan.figures import amount
 from cfgplan.onward import grouped
-from cfgplan.reasons import shared_reasons
 from cfgplan.summary import some
+from cfgplan.unmet import LEFT_OUT, SharedReason, shared_reasons
 
 if TYPE_CHECKING:
     from cfgplan.answers import Subject
@@ -74,11 +74,12 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         if screen.json:
             screen.show_json({"left_out": {asked_for: left_out[asked_for]}})
         else:
-            screen.show(f"{asked_for} is left out for now: {left_out[asked_for]}")
+            screen.show(f"{asked_for} is {LEFT_OUT}: {left_out[asked_for]}")
         return Exit.OK
     with task.planned(screen) as work:
         problem, plan = api.solved(task.problem, **planning, report=work.report)
     if plan.change_set is None:
+        _check_named(options, problem.environment)
         with screen.phase("explain"):
             why = answers.why_not(world, problem, **reasoning, **planning)
         _show_why_not(problem, why, screen, world.environment)
@@ -129,10 +130,10 @@ def _show_why_not(problem: Problem, why: WhyNot, screen: Screen, environment: En
     screen.show(verdict(problem, why.plan))
     for line in undecided_lines(problem, why.plan):
         screen.show(line)
-    text = why_not_text(problem, why)
-    if text:
-        screen.show(text)
-    for told_of_fact in fact_lines(environment, told=text.plain):
+    told = why_not_told(problem, why)
+    if told.text:
+        screen.show(told.text)
+    for told_of_fact in fact_lines(environment, told=told.left_out):
         screen.show(told_of_fact)
 
 
@@ -155,6 +156,15 @@ def _subjects(options: argparse.Namespace, problem: Problem, plan: Plan) -> list
     return [("transformation", name)]
 
 
+def _check_named(options: argparse.Namespace, environment: Environment) -> None:
+    """Raise InputError if nothing that could be in a plan has the name that is asked for."""
+    name = options.subject or options.unit or options.transformation or options.stream or ""
+    owner = name.rpartition("/")[0] or name
+    names = {*environment.transformation, *environment.unit}
+    if name and names.isdisjoint((name, owner, owner.rpartition(".")[0])):
+        known(name, names, "unit, transformation or stream")
+
+
 def _stream(name: str, after: Environment) -> tuple[Subject, str]:
     unit, _, port = name.rpartition("/")
     running = after.unit.get(unit)
@@ -165,10 +175,18 @@ MOST_LINES = 30
 """The most lines shown of one reason; `--json` has all."""
 
 
-def why_not_text(problem: Problem, why: WhyNot) -> Text:
-    """Return why no plan exists, target by target; ends without a newline."""
+@dataclass(frozen=True)
+class WhyNotTold:
+    """Why no plan exists, in words, and the transformations that the text names as left out."""
+
+    text: Text
+    left_out: frozenset[str]
+
+
+def why_not_told(problem: Problem, why: WhyNot) -> WhyNotTold:
+    """Return why no plan exists, target by target; the text ends without a newline."""
     environment = problem.environment
-    lines: list[Text] = []
+    lines, shared = list[Text](), list[SharedReason]()
     trees, reasons = _Trees(environment), grouped(((one.wanted, one.blocked), one.target) for one in why.unreachable)
     for (wanted, blocked), targets in reasons.items():
         opening = f"{named_labels('target', tuple(targets))} want{'' if len(targets) > 1 else 's'}"
@@ -181,10 +199,11 @@ def why_not_text(problem: Problem, why: WhyNot) -> Text:
             lines.append(Text(f"  {these}: {named}"))
         told = {reason.target for reason in why.unreachable}
         others = {label: reason for label, reason in why.plan.reasons.items() if label not in told}
-        lines += [Text(f"  {one.text}") for one in shared_reasons(others)]
+        shared = shared_reasons(others)
+        lines += [Text(f"  {one.text}") for one in shared]
     for unused in why.unused:
         lines += [Text(line) for line in unused_lines(problem, unused)]
-    return Text("\n").join(lines)
+    return WhyNotTold(Text("\n").join(lines), trees.left_out.union(*(one.left_out for one in shared)))
 
 
 def clash_line(clash: Clash) -> str:
@@ -258,7 +277,7 @@ def table_lines(whys: Sequence[Why]) -> Iterator[str]:
 def _briefly(why: Why) -> str:
     match why.choice:
         case Choice.FORCED:
-            return f"needed: {forced_by(why)}"
+            return f"needed: {forced_by(why, is_brief=True)}"
         case Choice.CHEAPER:
             return f"without it {amount(why.decides, why.difference or 0)} more"
         case Choice.LESS_CHANGE:
@@ -279,15 +298,17 @@ class _Trees:
         self._environment = environment
         self._told: set[str] = set()
         self._told_tags: set[str] = set()
+        self.left_out: frozenset[str] = frozenset()
+        """The transformations that the lines name as left out."""
 
     def shortened(self, wanted: Unfed, blocked: Sequence[Blocked], opening: str) -> Iterator[str]:
         """Yield the first lines about a demand that can't be fed, and how many more there are."""
         lines = self._tree(wanted, blocked, opening)
         yield from islice(lines, MOST_LINES)
-        told, told_tags = self._told.copy(), self._told_tags.copy()
+        told, told_tags, left_out = self._told.copy(), self._told_tags.copy(), self.left_out
         if more := sum(1 for _ in lines):
             yield f"  ... and {more} more lines, all in --json"
-        self._told, self._told_tags = told, told_tags
+        self._told, self._told_tags, self.left_out = told, told_tags, left_out
 
     def _tree(self, wanted: Unfed, blocked: Sequence[Blocked], opening: str) -> Iterator[str]:
         yield from self._demand(wanted, opening)
@@ -329,7 +350,9 @@ class _Trees:
             if unfed.undecided:
                 yield f"    not decided yet whether {some(unfed.undecided)} matches"
             labels_of = grouped((why, label) for label, why in unfed.left_out)
-            yield from (f"    left out for now: {', '.join(labels)}, {why}" for why, labels in labels_of.items())
+            for why, labels in labels_of.items():
+                self.left_out = self.left_out.union(labels)
+                yield f"    {LEFT_OUT}: {', '.join(labels)}, {why}"
             return
         is_new = unfed.tag not in self._told_tags
         self._told_tags.add(unfed.tag)

@@ -8,10 +8,11 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
+from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+from cfgplan.cli.options import placed_fault
 from cfgplan.cli.screen import Screen, counted, json_line
 from cfgplan.domain import Environment
 from cfgplan.errors import Fault, InputError
@@ -111,13 +112,13 @@ class FirstPlan:
         return False
 
 
-def show_faults(faults: Mapping[str, Fault], folder: Path, screen: Screen) -> None:
-    """Show each fault of code in a folder once, with the labels of all transformations that have it."""
+def show_faults(faults: Mapping[str, Fault], world: World, screen: Screen) -> None:
+    """Show each fault of a world's code once, with the labels of all transformations that have it."""
     from cfgplan_runtime.operating.sources import left_out_text
 
     for fault, labels in grouped((fault, label) for label, fault in faults.items()).items():
-        file = None if fault.file is None else str(folder / fault.file)
-        screen.warn_of(replace(fault, message=left_out_text(labels, fault.message), file=file))
+        told = partial(left_out_text, labels)
+        screen.warn_of(fault if world.file is None else placed_fault(world.file, fault, labels, told))
 
 
 def first_review(

@@ -12,7 +12,7 @@ from cfgplan.cli import options as shared
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.screen import Screen, counted
 from cfgplan.cli.suggest import port_named
-from cfgplan.errors import known
+from cfgplan.errors import InputError, known
 
 if TYPE_CHECKING:
     from cfgplan.domain import Environment, Similarity
@@ -61,6 +61,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
             )
         return Exit.OK
     environment, label = world.environment, f"target {options.input}"
+    _check_order(environment, options.output, options.input)
     offered = _tag(environment.outputs, options.output, "output")
     demanded = _tag(environment.demands, label if label in environment.demands else options.input, "input or target")
     from cfgplan import api
@@ -128,6 +129,14 @@ def _show_matrix(environment: Environment, similarity: Similarity, screen: Scree
     verb = "matches" if pairs == 1 else "match"
     matching = f"{count:,} of {counted(pairs, 'pair')} {verb}{open_pairs}" if pairs else "there is no pair"
     screen.show(Text("\n").join([*lines, Text(f"{over}: {matching}.", style="bold")]))
+
+
+def _check_order(environment: Environment, output: str, taker: str) -> None:
+    """Raise InputError if an input or target is named first, and the output second."""
+    kinds = {output: "an input", f"target {output}": "a target"}
+    kind = next((kind for name, kind in kinds.items() if name in environment.demands), None)
+    if output not in environment.outputs and taker in environment.outputs and kind is not None:
+        raise InputError.of(f"`{output}` is {kind}", mend=f"write the output first: `{taker} {output}`")
 
 
 def _tag(tags: Mapping[str, str], name: str, what: str) -> str:

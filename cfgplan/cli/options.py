@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from decimal import Decimal, InvalidOperation
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from cfgplan import api
+    from cfgplan.formats.environment_file import EnvironmentFile
     from cfgplan.matching import Matches
     from cfgplan.planning import Failures, Problem, Progress
 
@@ -503,19 +505,27 @@ def code_faults(world: api.World, labels: Iterable[str]) -> Iterator[Fault]:
         return
     from cfgplan_runtime.children.source_faults import source_fault
 
-    path = world.file.path
-    folder = path if path.is_dir() else path.parent
+    folder = world.file.folder
     library = world.environment.transformation
     for fault, of_fault in grouped((source_fault(library[label], folder), label) for label in labels).items():
-        if fault is None:
-            continue
-        place = world.file.place(transformation=of_fault[0], key="source")
-        said = f"{', '.join(of_fault)} can't be started: "
-        if fault.file is not None and fault.line is not None:
-            by = f", as {place.file}:{place.line} names it" if place and len(of_fault) == 1 else ""
-            message = f"{said}{fault.message}{by}"
-            yield replace(fault, file=str(folder / fault.file), message=message)
-        else:
-            told = f"{fault.file}: {fault.message}" if fault.file else fault.message
-            at = place or Place(str(path), 1, 1)
-            yield Fault(f"{said}{told}", at.file, at.line, at.column, mend=fault.mend)
+        if fault is not None:
+            yield placed_fault(world.file, fault, of_fault, partial(unstartable, of_fault))
+
+
+def unstartable(labels: Sequence[str], why: str) -> str:
+    """Return the message of a fault for which transformations can't be started."""
+    return f"{', '.join(labels)} can't be started: {why}"
+
+
+def placed_fault(env: EnvironmentFile, fault: Fault, labels: Sequence[str], told: Callable[[str], str]) -> Fault:
+    """Return a fault of transformations' code with its place in the code, or else in the environment file.
+
+    `told` makes the message of a cause.
+    """
+    place = env.place(transformation=labels[0], key="source")
+    if fault.file is not None and fault.line is not None:
+        by = f", as {place.file}:{place.line} names it" if place and len(labels) == 1 else ""
+        return replace(fault, file=str(env.folder / fault.file), message=f"{told(fault.message)}{by}")
+    at = place or Place(str(env.path), 1, 1)
+    why = f"{fault.file}: {fault.message}" if fault.file else fault.message
+    return Fault(told(why), at.file, at.line, at.column, mend=fault.mend)

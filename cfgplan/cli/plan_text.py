@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator
 
-from cfgplan.amounts import core_share
+from cfgplan.amounts import core_share, short_core_share
 from cfgplan.cli.screen import counted, decided_by
 from cfgplan.cli.styled import Text
 from cfgplan.costs import keep_cost_us, labor_us, standby_cost_us, upkeep_us
@@ -15,9 +14,9 @@ from cfgplan.figures import CostParts, amount, cost_parts, link_loads, loads, to
 from cfgplan.planners import IGNORING_REQUIRED
 from cfgplan.planning import Failures, Plan, Problem, Status
 from cfgplan.qualities import Better, Wish
-from cfgplan.reasons import LEFT_OUT, shared_reasons
 from cfgplan.ros.sources import NodeSource
 from cfgplan.summary import cpu as cpu
+from cfgplan.unmet import LEFT_OUT, SharedReason, shared_reasons
 
 _SIGNS = {"+": ("start", "green"), "~": ("rewire", "yellow"), "-": ("stop", "red"), "=": ("keep", "dim")}
 """The actions on a unit, and the sign and style of each."""
@@ -31,19 +30,14 @@ def update_text(problem: Problem, plan: Plan, given_up: Collection[str] = ()) ->
     return Text("\n").join([*changes, *_summary(problem, plan, given_up)])
 
 
-def left_out_lines(environment: Environment, *, told: str = "") -> list[str]:
+def left_out_lines(environment: Environment, *, told: Collection[str] = ()) -> list[str]:
     """Return lines that name the transformations that facts leave out, and those that facts of hosts bar from some.
 
-    A transformation is left out of these if a line of `told`, the text shown before, names it as left out.
+    Transformations in `told` have been named as left out already.
     """
     left_out = environment.left_out.items()
-    new = [f"{LEFT_OUT}: {label}, {why}" for label, why in left_out if not _is_named(label, told)]
+    new = [f"{LEFT_OUT}: {label}, {why}" for label, why in left_out if label not in told]
     return [*new, *_barred_lines(environment)]
-
-
-def _is_named(label: str, told: str) -> bool:
-    """Whether a line says that a transformation is left out, alone or with others of the same reason."""
-    return re.search(rf"{LEFT_OUT}: (?:.*, )?{re.escape(label)}(?:, | \(| and \d)", told) is not None
 
 
 def _barred_lines(environment: Environment, of: str | None = None) -> list[str]:
@@ -61,10 +55,10 @@ def plain_barred(environment: Environment) -> dict[str, dict[str, str]]:
     return {label: dict(hosts) for label, hosts in environment.barred.items()}
 
 
-def fact_lines(environment: Environment, of: str | None = None, *, told: str = "") -> list[str]:
+def fact_lines(environment: Environment, of: str | None = None, *, told: Collection[str] = ()) -> list[str]:
     """Return the effects of facts on the library: transformations that may not run, and qualities that follow facts.
 
-    `of` is a transformation or a unit; None stands for all. `told` is the text shown before, as for `left_out_lines`.
+    `of` is a transformation or a unit; None stands for all. `told` is as for `left_out_lines`.
     """
     label = of if of is None or of not in environment.unit else environment.unit[of].transformation
     now = environment.qualities_now.items()
@@ -205,12 +199,24 @@ def _summary(problem: Problem, plan: Plan, given_up: Collection[str]) -> Iterato
     yield from undecided_lines(problem, plan)
     if plan.change_set is not None and given_up:
         yield Text(f"Given up: {len(given_up)} of {len(before.targets) + len(given_up)} targets.", style="bold yellow")
-    unmet = {name: why for name, why in plan.reasons.items() if plan.change_set is None or name in given_up}
-    yield from (Text(f"  {shared.text}") for shared in shared_reasons(unmet))
-    for reason in (why for name, why in plan.reasons.items() if name not in unmet):
-        yield Text(f"Stopped, though pinned: {reason}.", style="bold yellow")
+    unmet, stopped = _told_reasons(plan, given_up)
+    yield from (Text(f"  {shared.text}") for shared in unmet)
+    yield from (Text(f"Stopped, though pinned: {each.text}.", style="bold yellow") for each in stopped)
     for label in plan.unused_required:
         yield Text(f"Required {label} is not used: {why_unused(plan)}.", style="yellow")
+
+
+def _told_reasons(plan: Plan, given_up: Collection[str]) -> tuple[list[SharedReason], list[SharedReason]]:
+    """Return why targets are not met, and why pinned units are stopped."""
+    of_units = {name for name in plan.reasons if plan.change_set is not None and name not in given_up}
+    unmet = {name: why for name, why in plan.reasons.items() if name not in of_units}
+    stopped = [each for name in plan.reasons if name in of_units for each in shared_reasons({name: plan.reasons[name]})]
+    return shared_reasons(unmet), stopped
+
+
+def told_left_out(plan: Plan, given_up: Collection[str]) -> frozenset[str]:
+    """Return the transformations that `update_text` names as left out."""
+    return frozenset[str]().union(*(each.left_out for some in _told_reasons(plan, given_up) for each in some))
 
 
 def nothing_wanted(environment: Environment) -> str:
@@ -324,7 +330,7 @@ def _amount(host: Host, resource: str, taken: int, horizon_s: int) -> str:
     """Return the use of a resource and its limit: `9 % of a core (limit 40 %)`, `300 of 500 MB`, `1 of 2 gpu`."""
     room = host.room(resource, horizon_s)
     if resource == CPU:
-        limit = "" if room is None else f" (limit {core_share(room).removesuffix(' of a core')})"
+        limit = "" if room is None else f" (limit {short_core_share(room)})"
         return f"{core_share(taken)}{limit}"
     unit = {MEMORY: "MB", POWER: "W"}.get(resource, resource)
     return f"{taken}{'' if room is None else f' of {room}'} {unit}"

@@ -84,7 +84,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan_runtime.reasoning.queries import UnmetTargetsError
 
-    from cfgplan.reasons import shared_reasons
+    from cfgplan.unmet import shared_reasons
 
     try:
         return _run(options, screen)
@@ -227,8 +227,8 @@ def as_text(screen: Screen, formula: str, *, verbose: bool) -> Callable[[QueryRe
                 streams = ", ".join(f"{name} on {topic}" for name, topic in topics.items())
                 since = span(screen.seconds.get("set up", 0.0) + seconds)
                 screen.note(f"Set up in {since}: {streams or 'no streams are needed'}.")
-            case queries.Noted(text):
-                screen.note(text, style="yellow" if verbose or "unknown" in text else "dim")
+            case queries.Noted(text, is_unknown):
+                screen.note(text, style="yellow" if verbose or is_unknown else "dim")
             case queries.Progressed():
                 situation = (report.waiting, report.possible, report.missing)
                 if situation != last[0]:

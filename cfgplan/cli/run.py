@@ -236,7 +236,7 @@ def _first_plan(options: argparse.Namespace, world: World, settings: Settings, s
     adjusted = _adjusted(options, world)
     faults = faults_of(adjusted.environment.library, folder_of(options), settings.check)
     if options.dry_run or not screen.json:  # the events of a run have them too
-        show_faults(faults, folder_of(options), screen)
+        show_faults(faults, adjusted, screen)
     with screen.phase("plan"):
         running = Environment() if left is None else left.running
         failures = () if left is None else left.failures

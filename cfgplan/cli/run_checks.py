@@ -56,13 +56,9 @@ def check_can_start(options: argparse.Namespace, world: World) -> None:
     faults = grouped((check(one, folder), one.label) for one in coded)
     if None not in faults:
         raise InputError(
-            replace(
-                fault,
-                message=f"{', '.join(labels)}: {fault.message}",
-                file=options.env if fault.file is None else str(folder / fault.file),
-            )
+            shared.placed_fault(world.file, fault, labels, partial(shared.unstartable, labels))
             for fault, labels in faults.items()
-            if fault is not None
+            if fault is not None and world.file is not None
         )
 
 

@@ -12,23 +12,24 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Self
 
 from cfgplan_runtime.lifecycle.kinds import Level
-from cfgplan_runtime.lifecycle.review_sentences import short
+from cfgplan_runtime.lifecycle.review_sentences import Waiting, in_display_order, reasons_by_target, short, waiting
 from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
 from rich.live import Live
 from rich.rule import Rule
 from rich.table import Table
 from rich.text import Text
 
-from cfgplan.amounts import clock_time, core_share, rate, span
+from cfgplan.amounts import clock_time, core_share, rate, short_core_share, span
 from cfgplan.cli.plan_text import in_stream_order
 from cfgplan.cli.run_output import RunOutput, fetched, show_files, show_ledger
 from cfgplan.cli.screen import Screen, counted, printable
-from cfgplan.reasons import shared_reasons
 from cfgplan.summary import some
 
 if TYPE_CHECKING:
     from cfgplan_runtime.lifecycle.reports import Snapshot, UnitView
     from cfgplan_runtime.operating.operation import Operation
+
+    from cfgplan.unmet import SharedReason
 
 _STYLES = {Level.WARNING: "yellow", Level.ERROR: "red"}
 _DECISIONS = {"failed": "red", "undecided": "red", "kept": "dim", "deferred": "dim"}
@@ -138,7 +139,7 @@ class RunPicture:
     def _parts(self, height: int, *, is_narrow: bool) -> Iterator[RenderableType]:
         state = self.state
         reviews = state["reviews"][-_MOST_REVIEWS:]
-        rows = len(state["units"]) + len(state["backing_off"])
+        rows = len(state["units"]) + len(waiting(state["backing_off"]))
         # Headline, footer, and a title for each of the four parts; tables have a row of headings.
         room = height - 2 - 4 - 2 - len(state["faults"][:1])
         log = min(max(_FEWEST_LOG_LINES, room // 4), max(1, room - 3))
@@ -213,16 +214,14 @@ def _crossings(crossings: list[Mapping[str, Any]]) -> RenderableType:
 
 def _targets(state: Mapping[str, Any], room: int | None = None) -> RenderableType:
     columns = (("target", 1), ("topic", 1), (">rate", 0), (">latency", 0), ("from", 2))
-    ordered = sorted(state["targets"], key=lambda target: (target["met"], -target["priority"], target["label"]))
-    unmet = {target["label"]: target["reason"] for target in ordered if not target["met"]}
-    told = shared_reasons(unmet) if room is None else shared_reasons(unmet, 1)  # the cause must be on the line
-    reasons = {label: f"as {shared.labels[0]}" for shared in told for label in shared.labels}
-    reasons |= {shared.labels[0]: shared.text for shared in told}
-    rows = [list(_target(target, reasons.get(target["label"], ""))) for target in ordered]
+    ordered = in_display_order(state["targets"])
+    # The cause must be on the line.
+    reasons = reasons_by_target(ordered) if room is None else reasons_by_target(ordered, 1)
+    rows = [list(_target(target, reasons.get(target["label"]))) for target in ordered]
     return _drawn(columns, rows, room, "target")
 
 
-def _target(target: Mapping[str, Any], reason: str) -> Iterator[Text]:
+def _target(target: Mapping[str, Any], reason: SharedReason | None) -> Iterator[Text]:
     """Yield the cells of a target; `reason` says why it is not met."""
     has_stream = target["stream"] is not None
     rate_hz, latency_ms = (target.get(key) if has_stream else None for key in ("rate_hz", "latency_ms"))
@@ -231,8 +230,9 @@ def _target(target: Mapping[str, Any], reason: str) -> Iterator[Text]:
     yield Text(rate(rate_hz) if rate_hz else "")
     yield Text("" if latency_ms is None else span(latency_ms / 1e3))
     silent_s = target.get("silent_s")
-    if not target["met"]:
-        yield Text(reason, style="red")
+    if reason is not None:
+        first = reason.labels[0]
+        yield Text(reason.text if target["label"] == first else f"as {first}", style="red")
     elif not has_stream:
         yield Text(target["unit"])
     elif silent_s is None or silent_s > _OLD_S:
@@ -246,13 +246,13 @@ def _units(state: Mapping[str, Any], room: int | None = None, *, is_narrow: bool
     """Transformations that wait, then the units; odd ones first where there is not room for all. Process ids are shown
     where there is room for everything; on a narrow terminal names have room before memory and before counts of 0.
     """
-    units, waiting = list(state["units"]), state["backing_off"]
-    if room is not None and len(units) + len(waiting) > room:
+    units, failing = list(state["units"]), waiting(state["backing_off"])
+    if room is not None and len(units) + len(failing) > room:
         units.sort(key=lambda unit: not _is_odd(unit))
     keys = [key for key in ("host", "pid") if any(unit.get(key) for unit in units) and (key == "host" or room is None)]
     numbers = [(f">{name}", 0) for name in ("cpu", "memory", "steps/s", "dropped", "errors")]
     columns = (("unit", 1), *((key, 0) for key in keys), *numbers, ("state", 2))
-    rows = [_waiting(each, len(columns)) for each in waiting]
+    rows = [_waiting(each, len(columns)) for each in failing]
     rows += [_unit(unit, [Text(str(unit.get(key) or "")) for key in keys]) for unit in units]
     if is_narrow:
         left_out = {"memory", *(name for name in ("dropped", "errors") if not any(unit.get(name) for unit in units))}
@@ -284,7 +284,7 @@ def _unit(unit: Mapping[str, Any], more: list[Text]) -> list[Text]:
     return [
         Text(unit["id"]),
         *more,
-        Text("" if unit["upkeep_us"] is None else core_share(unit["upkeep_us"]).removesuffix(" of a core")),
+        Text("" if unit["upkeep_us"] is None else short_core_share(unit["upkeep_us"])),
         Text(f"{unit['memory_bytes'] >> 20} MB"),
         Text(f"{unit['steps_per_s']:.1f}"),
         *(Text(str(unit[key]), style="yellow" if unit[key] else "dim") for key in ("dropped", "errors")),
@@ -292,11 +292,8 @@ def _unit(unit: Mapping[str, Any], more: list[Text]) -> list[Text]:
     ]
 
 
-def _waiting(waiting: Mapping[str, Any], columns: int) -> list[Text]:
-    again = "until it changes" if waiting["left_s"] is None else f"for {span(waiting['left_s'])}"
-    times = "once" if waiting["failures"] == 1 else f"{waiting['failures']} times"
-    state = Text(f"not started {again}, failed {times}: {short(waiting['cause'])}", style="red")
-    return [Text(waiting["transformation"], style="red"), *[Text("")] * (columns - 2), state]
+def _waiting(failing: Waiting, columns: int) -> list[Text]:
+    return [Text(some(failing.names), style="red"), *[Text("")] * (columns - 2), Text(failing.says, style="red")]
 
 
 def _review(review: Mapping[str, Any]) -> Text:

@@ -100,7 +100,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
 def _solve(options: argparse.Namespace, screen: Screen, task: shared.Task) -> Exit:
     from cfgplan import answers, api
-    from cfgplan.cli.plan_text import left_out_lines, update_text
+    from cfgplan.cli.plan_text import left_out_lines, told_left_out, update_text
     from cfgplan.shared_states import double_owners
 
     world, is_proven = task.world, True
@@ -139,7 +139,7 @@ def _solve(options: argparse.Namespace, screen: Screen, task: shared.Task) -> Ex
             )
         elif not is_proven:
             screen.warn("time ran out before it was proven that no better set of targets can be met")
-        for line in left_out_lines(world.environment, told="\n".join(plan.reasons.values())):
+        for line in left_out_lines(world.environment, told=told_left_out(plan, given_up)):
             screen.note(line)
         for warning in double_owners(problem.after(plan)) if plan.change_set is not None else ():
             screen.warn(warning)

@@ -26,7 +26,7 @@ from cfgplan.comparing.entrants import Entrant
 from cfgplan.comparing.runs import Point, RunFailure
 from cfgplan.errors import CfgplanError
 from cfgplan.planning import Plan, Planner, Problem, Progress
-from cfgplan.reasons import shared_reasons
+from cfgplan.unmet import shared_reasons
 from cfgplan.validity import plan_violations
 
 SHORT_S, RUNS = 0.5, 3

@@ -14,6 +14,7 @@ from cfgplan.explaining.what_if import only_targets
 from cfgplan.planning import REFUSED, Feature, Pair, Plan, Planner, Problem, Status
 from cfgplan.reasons import unmet_reasons, with_pinned_reasons
 from cfgplan.summary import Summary, counted, summarised, summary
+from cfgplan.unmet import Lack, Reason
 
 
 def _best_effort_summary(found: BestEffort) -> Summary:
@@ -36,7 +37,7 @@ class BestEffort:
 
     plan: Plan
     problem: Problem
-    given_up: Mapping[str, str] = field(hash=False)
+    given_up: Mapping[str, Reason] = field(hash=False)
     exact: bool = True
     undecided: tuple[Pair, ...] = ()
 
@@ -51,7 +52,7 @@ def best_effort(
     planner: Planner,
     *,
     time_limit_s: float | None = None,
-    impossible: Mapping[str, str] | None = None,
+    impossible: Mapping[str, Reason] | None = None,
 ) -> BestEffort:
     """Meet as many targets of the highest priority as possible, then of the next ..., then at least cost.
 
@@ -142,8 +143,8 @@ class _Search:
         plan = self._plan(self.best)
         return Plan(plan.planner, Status.UNKNOWN) if self._targets and not (self.best or self.is_exact) else plan
 
-    def why_given_up(self) -> dict[str, str]:
-        """A sentence for each target that could be met by itself as far as matching goes."""
+    def why_given_up(self) -> dict[str, Reason]:
+        """A reason for each target that could be met by itself as far as matching goes."""
         return {target.label: self._why(target) for target in self._targets if target not in self.best}
 
     def _descend(self, chosen: frozenset[Target], ahead: Sequence[Target]) -> None:
@@ -217,20 +218,25 @@ class _Search:
     def _left_s(self) -> float | None:
         return None if self.end_s is None else max(0.0, self.end_s - time.monotonic())
 
-    def _why(self, target: Target) -> str:
+    def _why(self, target: Target) -> Reason:
+        alone = self._plan(frozenset({target}))
+        known = Reason.of(alone.reasons.get(target.label, ""))
+        if alone.status is Status.INFEASIBLE and known.name == target.label:  # its sentence says all
+            return known
+        return Reason(Lack(self._lack(target)), target.label, target.tag)
+
+    def _lack(self, target: Target) -> str:
         for others, how in ((frozenset[Target](), "by itself"), (self.best, "with the targets that are met")):
             plan = self._plan(others | {target})
-            wanted = f"target {target.label} wants {target.tag}, but {how} it"
             if plan.status is Status.TOO_EXPENSIVE:
                 dear_us = plan.bound_us if plan.cost_us is None else plan.cost_us
                 allowed = f"{seconds(self._problem.max_cost_us or 0):f} s is allowed"
                 least = "at least " if plan.cost_us is None else ""
-                return f"{wanted} would cost {least}{seconds(dear_us):f} s, and {allowed}"
+                return f"{how} it would cost {least}{seconds(dear_us):f} s, and {allowed}"
             if plan.status is Status.INFEASIBLE:
                 known = plan.reasons.get(target.label)
-                return f"{wanted} can't be met" + (f": {known}" if known else "")
+                return f"{how} it can't be met" + (f": {known}" if known else "")
             if plan.undecided:
                 offered, demanded = plan.undecided[0]
-                unknown = f"it is not decided yet whether {offered} is {demanded}"
-                return f"target {target.label} wants {target.tag}, but {unknown}"
-        return f"target {target.label} wants {target.tag}, but time ran out"
+                return f"it is not decided yet whether {offered} is {demanded}"
+        return "time ran out"

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from cfgplan.explaining.why_this import Choice, Why
 from cfgplan.figures import amount
 from cfgplan.summary import some
+from cfgplan.unmet import Reason, shared_reasons
 
 
 def why_lines(why: Why) -> Iterator[str]:
@@ -27,18 +28,17 @@ def why_lines(why: Why) -> Iterator[str]:
         yield f"  {forced_by(why)}"
 
 
-def forced_by(why: Why) -> str:
-    """Return, in words, the demands that can't be met without the subject."""
-    if why.otherwise.reasons:
-        return "; ".join(_unmet(f"target {label} ", reason) for label, reason in why.otherwise.reasons.items())
+def forced_by(why: Why, *, is_brief: bool = False) -> str:
+    """Return, in words, the demands that can't be met without the subject. If this is the only target that the subject
+    serves, a brief answer names neither the target nor its tag.
+    """
+    reasons = why.otherwise.reasons
+    if is_brief and len(reasons) == 1 and tuple(reasons) == why.targets:
+        return f"without it, {Reason.of(reasons[why.targets[0]]).fault}"
+    if reasons:
+        return "; ".join(f"without it, {one.text}" for one in shared_reasons(reasons))
     demands = f"{named_labels('target', why.targets)} with the others" if why.targets else "all demands"
     return f"no valid configuration without it meets {demands}"
-
-
-def _unmet(target: str, reason: str) -> str:
-    if not reason.startswith(target):
-        return f"without it, {reason}"
-    return f"without it {target}can't be met: it {reason.removeprefix(target)}"
 
 
 def instead(why: Why) -> str:

@@ -234,7 +234,10 @@ def _name(item: object, key: str) -> str | None:
 def _folder_of_xml(folder: FilePath) -> Document:
     names = sorted(path.name for path in folder.iterdir() if path.suffix == ".xml" and path.is_file())
     if not names:
-        mend = "name the file in it; only a folder of XML files loads as a whole"
+        there = [path for path in sorted(folder.iterdir()) if path.suffix in SUFFIXES and path.is_file()]
+        usual = next((path for path in there if path.stem == "env" or len(there) == 1), None)
+        none = "" if there else "; only a folder of XML files loads as a whole"
+        mend = f"name the file in it{none}" if usual is None else f"did you mean `{usual}`?"
         raise InputError.of("this is a folder, not a file", file=str(folder), mend=mend)
     whole = Source(str(folder), {}, lambda _path, _at_key: Spot(1, 1))
     files, faults = _included(folder / "whole", whole, names)

@@ -44,6 +44,11 @@ class EnvironmentFile:
 
     __getstate__ = fields_of
 
+    @property
+    def folder(self) -> FilePath:
+        """The folder that names of unit code are relative to; a folder of XML files is its own."""
+        return self.path if self.path.is_dir() else self.path.parent
+
     @cached_property
     def digest(self) -> str:
         """SHA-256 (hex) of all input of a plan, including the ontology files, `imports`, `rules` and `prefer`.

@@ -7,7 +7,6 @@ from collections.abc import Iterable
 from cfgplan.errors import CfgplanError
 
 UNDONE = "the update was undone"
-"""The first words of an ApplyError of the supervisor; the cause follows."""
 
 
 class RuntimeFaultError(CfgplanError):
@@ -37,12 +36,16 @@ class NoSourceError(RuntimeFaultError):
 class ApplyError(RuntimeFaultError):
     """A change set that failed half way; every step of it was undone, and the old configuration keeps running.
 
-    `message` says why; `units` are the new units that did not start.
+    `cause` says why; `units` are the new units that did not start.
     """
 
-    def __init__(self, message: str, units: Iterable[str] = ()) -> None:
-        super().__init__(message)
+    def __init__(self, cause: str, units: Iterable[str] = ()) -> None:
+        super().__init__(cause)
+        self.cause = cause
         self.units = tuple(units)
+
+    def __str__(self) -> str:
+        return f"{UNDONE}: {self.cause}"
 
 
 class AbandonedError(ApplyError):

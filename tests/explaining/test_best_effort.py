@@ -20,7 +20,9 @@ from cfgplan.explaining.what_if import only_targets
 from cfgplan.planners import PLANNERS
 from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planning import Plan, Problem, Status
+from cfgplan.qualities import Better, QualityAttribute, Wish
 from cfgplan.reasons import unmet_reasons
+from cfgplan.unmet import shared_reasons
 from cfgplan.validity import plan_violations
 
 many = examples(100)
@@ -187,3 +189,15 @@ def test_who_knows_already_what_is_impossible_gets_the_same_answer(problem: Prob
     known = best_effort(problem, cpsat, impossible=unmet_reasons(problem))
     found = best_effort(problem, cpsat)
     assert (known.plan, known.problem, known.exact) == (found.plan, found.problem, found.exact)
+
+
+def test_targets_that_can_not_be_met_by_themselves_share_their_own_reason() -> None:
+    """Each was told in a line that named it twice: `target a wants B, but by itself it can't be met: target a ...`."""
+    delay = QualityAttribute("delay", Better.LOWER, worst=1_000_000)
+    wish = (Wish("delay", bound=300_000),)
+    targets = tuple(Target(label, "A", f"/{label}", quality=wish) for label in "ab")
+    library = (Transformation("camera", outputs=(OutputPort("x", "A"),)),)
+    environment = Environment((), library, targets, qualities=(delay,))
+    found = best_effort(Problem(environment, Similarity({"A": frozenset("A")}), 1), cpsat)
+    (told,) = shared_reasons(found.given_up)
+    assert told.text == "targets a, b ask for delay of at most 0.3, but the best that any wiring reaches is 1"

@@ -87,6 +87,9 @@ def test_where_nothing_can_take_its_place_what_keeps_crashing_waits_no_longer_th
     life = started(behaviours=CRASHING, policy=Policy(back_off=BackOffRules(alone_s=4)))
     life.pass_time(100)
     assert 20 <= life.starts("work") <= 27
+    waits = [report.backing_off for report in life.reports if isinstance(report, BackedOff)]
+    assert len({one.failures for one in waits}) == len(waits), "a wait is told once, not again when it is shortened"
+    assert {round(one.left_s) for one in waits} == {1, 2, 4}
     assert life.starts("count") == 1
 
 

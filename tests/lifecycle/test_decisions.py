@@ -505,13 +505,25 @@ def test_reviews_that_come_to_nothing_are_repeated_later_and_later() -> None:
     assert waits == pytest.approx([0.1, 0.2, 0.4, 0.8, 1.6])
 
 
+def undone(cause: str) -> UpdateFailed:
+    return UpdateFailed(cause, ("work",), is_undone=True)
+
+
 @pytest.mark.parametrize(
     ("error", "failed", "avoided"),
     [
         (StaleChangeSetError("others run"), UpdateFailed("others run", is_stale=True), set()),
         (NoSourceError("no code", ("work",), "none"), UpdateFailed("no code", ("work",)), {Place("work")}),
-        (AbandonedError("given up", ("work.2",)), UpdateFailed("given up", ("work",)), {Place("work", "far")}),
-        (ApplyError("too slow", ("work.2",)), UpdateFailed("too slow", ("work",)), {Place("work", "far")}),
+        (
+            AbandonedError("given up", ("work.2",)),
+            UpdateFailed("given up", ("work",), is_undone=True),
+            {Place("work", "far")},
+        ),
+        (
+            ApplyError("too slow", ("work.2",)),
+            UpdateFailed("too slow", ("work",), is_undone=True),
+            {Place("work", "far")},
+        ),
         (
             ZeroDivisionError("bug"),
             UpdateFailed("the middleware failed: ZeroDivisionError: bug", is_fault=True),
@@ -538,7 +550,7 @@ def test_a_new_unit_that_dies_counts_once_however_its_update_ends() -> None:
     assert effects == []
     failed, effects = after(state, 3.0, Updated(0.1, ApplyError("undone", ("work.2",))))
     assert found(effects, LearnOfFailure) == [LearnOfFailure(Place("work", "far"))]
-    assert perturbations(effects) == [UpdateFailed("undone", ("work",))]
+    assert perturbations(effects) == [undone("undone")]
     assert failed.situation.back_offs.avoided == {Place("work", "far")}
     state, effects = after(state, 3.0, Updated(0.1))
     assert found(effects, LearnOfFailure) == [LearnOfFailure(Place("work", "far"))]
@@ -662,7 +674,7 @@ def test_the_end_stops_all_units_and_tells_everybody(state: State) -> None:
     state, effects = after(state, 4.0, Finished())
     answers = {answer.outcome: str(answer.answer) for answer in found(effects, Respond)}
     assert answers[stop.outcome] == "None"
-    assert answers[kill.outcome] == answers[late.outcome] == "the manager has ended"
+    assert answers[kill.outcome] == answers[late.outcome] == "the run has ended"
     assert (state.is_over, effects[-1]) == (True, Tell(Ended("")))
 
 

@@ -144,7 +144,7 @@ def without_names(_: Any, apply: Any, change_set: ChangeSet, **more: Any) -> Any
     try:
         return apply(change_set, **more)
     except ApplyError as error:
-        raise ApplyError(str(error)) from None
+        raise ApplyError(error.cause) from None
 
 
 def forgetful(middleware: Any, apply: Any, change_set: ChangeSet, **more: Any) -> Any:
@@ -438,7 +438,7 @@ def test_without_its_middleware_a_manager_ends_and_tells_who_waits() -> None:
             raise RuntimeFaultError("the runtime is closed")
 
         middleware.apply = closed
-        with pytest.raises(RuntimeFaultError, match="the manager has ended"):
+        with pytest.raises(RuntimeFaultError, match="the run has ended"):
             manager.request(Add(targets=(Target("numbers", "N", "/numbers"),))).result(60)
         assert manager.wait(60)
     assert reports[-1] == Ended("the runtime is closed")
@@ -457,5 +457,5 @@ def test_who_asked_together_with_what_goes_wrong_is_told_too() -> None:
     outcomes = [manager.request(change) for change in (KillUnit("work.1"), Add(targets=()), KillUnit("count.1"))]
     manager.start()
     for outcome in outcomes:
-        with pytest.raises(RuntimeFaultError, match="the manager has ended"):
+        with pytest.raises(RuntimeFaultError, match="the run has ended"):
             outcome.result(60)

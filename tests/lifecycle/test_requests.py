@@ -234,5 +234,5 @@ def test_stop_stops_every_unit_and_turns_away_who_comes_later() -> None:
     assert last.result(timeout=0) is None
     assert (life.units, life.manager.snapshot().phase) == (set(), Phase.STOPPED)
     assert life.reports[-1] == Ended()
-    with pytest.raises(RuntimeFaultError, match="the manager has ended"):
+    with pytest.raises(RuntimeFaultError, match="the run has ended"):
         life.manager.request(KillUnit("work.1")).result(timeout=0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from pathlib import Path
 
@@ -77,11 +78,23 @@ def test_a_run_shows_broken_code_once_with_its_line_and_the_review_says_why(
     assert "cause: start, detector(piff) can't be started" in said.out
 
 
+def test_a_run_that_could_start_nothing_names_the_place_in_its_file(
+    env: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It named the missing file of code in place of the line that names it."""
+    (env.parent / "units.py").unlink()
+    assert main(["run", str(env)]) == 30
+    said = capsys.readouterr().err
+    assert re.search(r"env\.yaml:\d+:\d+: .* can't be started: units\.py: there is no such file of unit code", said)
+    assert "^^^" in said
+
+
 def test_a_run_that_could_start_nothing_does_not_begin(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (env.parent / "units.py").write_text(BROKEN)
     assert main(["run", str(env)]) == 30
     said = capsys.readouterr().err
-    assert f"error: {env.with_name('units.py')}:1:8: camera(piff), detector(piff): it imports nosuchmodule" in said
+    told = "camera(piff), detector(piff) can't be started: it imports nosuchmodule"
+    assert f"error: {env.with_name('units.py')}:1:8: {told}" in said
     assert "    1 | import nosuchmodule\n      |        ^^^^^^^^^^^^" in said
 
 

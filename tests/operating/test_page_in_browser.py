@@ -13,7 +13,7 @@ import pytest
 from browsed import assert_legible, await_frames, await_so, browser
 from cfgplan_runtime.lifecycle.changes import Declare, KillUnit, LoseHost, Withdraw
 from cfgplan_runtime.lifecycle.deliberation import Findings
-from cfgplan_runtime.lifecycle.reports import Decision, Reviewed, UnitView
+from cfgplan_runtime.lifecycle.reports import Decision, Reviewed, TargetView, UnitView
 from cfgplan_runtime.operating.control_client import connect
 from cfgplan_runtime.operating.control_server import ControlServer
 from cfgplan_runtime.operating.methods import Methods
@@ -29,6 +29,7 @@ from page_world import building, with_a_kill
 from cfgplan import api
 from cfgplan.amounts import core_share, rate, span
 from cfgplan.domain import ChangeSet, ComputationUnit, Host, Publication, Stream, Subscription
+from cfgplan.unmet import Lack, Reason
 
 MARKUP = "<img src=x onerror=alert(1)> & \\N"
 WINDOWS = [{"width": 1400, "height": 1500}, {"width": 400, "height": 3000}]
@@ -178,6 +179,18 @@ def test_a_search_and_only_unmet_shorten_the_lists(page: PageServer, manager: Fa
         tab.uncheck("#only-unmet")
         tab.fill("#find", "room7")
         assert (tab.locator("#targets .row").count(), tab.locator("#units .row").count()) == (1, 2)
+
+
+def test_a_reason_of_several_targets_is_told_at_the_first_that_is_shown(page: PageServer, manager: FakeManager) -> None:
+    views = [
+        TargetView(one, "T", f"/{one}", 0, None, Reason(Lack("no output matches"), one, "T")) for one in ("a", "b")
+    ]
+    manager.shows(replace(building(3), targets=tuple(views)))
+    with browser(page) as (tab, _):
+        about = tab.locator("#targets .about")
+        assert about.all_inner_texts() == ["targets a and 1 more want T, but no output matches", "as a"]
+        tab.fill("#find", "b")
+        assert about.all_inner_texts() == ["targets a and 1 more want T, but no output matches"]
 
 
 def test_all_hosts_are_listed_with_their_number_of_units(page: PageServer, manager: FakeManager) -> None:

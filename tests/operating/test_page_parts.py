@@ -10,15 +10,17 @@ from typing import Any
 
 import numpy
 import pytest
-from cfgplan_runtime.lifecycle.reports import BackingOff, Snapshot, UnitView
+from cfgplan_runtime.lifecycle.reports import BackingOff, Snapshot, TargetView, UnitView
 from cfgplan_runtime.operating.records import snapshot_record
 from cfgplan_runtime.page.health import health
 from cfgplan_runtime.page.shown_values import LARGEST_IMAGE, LARGEST_SIDE, MOST_CHARACTERS, shown
 from cfgplan_runtime.page.source_lines import error_record, fault_record
+from cfgplan_runtime.page.watched import as_seen
 from fake_manager import SNAPSHOT
 from page_world import building, observed
 
 from cfgplan.errors import Fault
+from cfgplan.unmet import Lack, NeededBy, Reason
 
 WELL = building(31)
 
@@ -50,6 +52,20 @@ def test_it_names_the_first_unmet_target_by_priority_with_its_reason() -> None:
     assert said(few) == ("bad", "2 of 16 targets are not met. The first is comfort of room2: no power.")
     one = with_targets(WELL, ("comfort of room1", 0, ""))
     assert said(one) == ("bad", "1 of 16 targets is not met. It is comfort of room1: a review is under way.")
+
+
+def test_lists_of_the_page_tell_a_reason_once_as_the_terminal_does() -> None:
+    """Each target had the whole sentence, and each copy of a unit that waits had a line."""
+    lack = Lack("no output matches", "U", NeededBy("x", "i"))
+    views = [TargetView(label, "T", f"/{label}", 0, None, Reason(lack, label, "T")) for label in "cab"]
+    waiting = (BackingOff("a", 2, 4.0, "exited with 3"), BackingOff("b", 2, 3.0, "exited with 3"))
+    seen = as_seen(snapshot_record(replace(WELL, targets=(*WELL.targets[:1], *views), backing_off=waiting)))
+    shown = [(target["label"], target.get("as"), target.get("told")) for target in seen["targets"]]
+    told = "targets a and 2 more want T, but input i of x needs U, and no output matches"
+    assert shown == [*((label, "a", told) for label in "abc"), (WELL.targets[0].label, None, None)]
+    assert [(one["names"], one["says"]) for one in seen["waiting"]] == [
+        (("a", "b"), "not started for up to 4 s, failed 2 times: exited with 3")
+    ]
 
 
 @pytest.mark.parametrize(

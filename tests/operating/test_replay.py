@@ -142,8 +142,12 @@ def test_what_can_not_be_played_is_refused(ticks: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="this is not a recording \\(a recording of"):
         recorded(tmp_path / "text")
     (tmp_path / "cut").write_bytes(ticks.read_bytes()[:100])
-    with pytest.raises(InputError, match=r"this recording is damaged .*mcap recover"):
+    with pytest.raises(InputError, match=r"this recording has no end: .*wait for the end of the run.*mcap recover"):
         recorded(tmp_path / "cut")
+    whole = ticks.read_bytes()
+    (tmp_path / "damaged").write_bytes(whole[:100] + bytes(len(whole) - 120) + whole[-20:])
+    with pytest.raises(InputError, match=r"this recording is damaged .*another copy.*mcap recover"):
+        recorded(tmp_path / "damaged")
     with pytest.raises(InputError, match="no such file"):
         recorded(tmp_path / "nothing")
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import resource
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from cfgplan_runtime.lifecycle.kinds import sentence
 from cfgplan_runtime.lifecycle.perturbations import HorizonReached, Perturbation
@@ -19,15 +21,17 @@ from cfgplan_runtime.lifecycle.reports import (
     Report,
     ReviewBegan,
     Reviewed,
+    TargetView,
     UnitEvent,
     WorldRefused,
 )
-from cfgplan_runtime.operating.records import logging_to, report_record
+from cfgplan_runtime.operating.records import logging_to, report_record, snapshot_record
 from cfgplan_runtime.supervision.events import SIGNS, Event, UnitDied
 from cfgplan_runtime.supervision.run_log import RunLog
 from fake_manager import REVIEW, SNAPSHOT, observation
 
 from cfgplan.errors import Fault
+from cfgplan.unmet import Lack, Reason
 
 DESCRIPTION = Path(__file__).parents[2] / "cfgplan" / "manual" / "events.md"
 REPORTS: tuple[Report, ...] = (
@@ -51,6 +55,18 @@ def lines(tmp_path: Path) -> list[dict[str, Any]]:
         write(report)
     log.close()
     return [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
+
+
+def test_records_of_reasons_are_plain_texts() -> None:
+    """A recording and `ctl state` broke off: msgspec writes no subclass of str."""
+    reason = Reason(Lack("no output matches"), "a", "T")
+    review = replace(REVIEW, unmet={"a": reason})
+    view = TargetView("a", "T", "/a", 0, None, reason)
+    state = snapshot_record(replace(SNAPSHOT, reviews=(review,), targets=(view,)))
+    for record in (state, report_record(Reviewed(review))):
+        assert json.loads(msgspec.json.encode(record)) == json.loads(json.dumps(record))
+    assert state["targets"][0]["reason"] == "target a wants T, but no output matches"
+    assert state["reviews"][0]["unmet_says"] == ["target a wants T, but no output matches"]
 
 
 def test_no_report_has_a_field_that_would_hide_its_kind_or_another_key_of_the_log() -> None:

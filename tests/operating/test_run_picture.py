@@ -20,7 +20,7 @@ import pytest
 from cfgplan_runtime.children.messages import Flow
 from cfgplan_runtime.lifecycle.kinds import Level
 from cfgplan_runtime.lifecycle.perturbations import SubscriptionLost, UnitGone
-from cfgplan_runtime.lifecycle.reports import Decision, Snapshot, TargetView, UnitView
+from cfgplan_runtime.lifecycle.reports import BackingOff, Decision, Snapshot, TargetView, UnitView
 from cfgplan_runtime.operating.records import snapshot_record
 from fake_manager import CAMERA, DETECTOR, REVIEW, SNAPSHOT, observation
 from operated_world import PATIENCE_S, command, write_world
@@ -29,6 +29,7 @@ from rich.console import Console
 from cfgplan.cli.run_picture import LogLine, RunPicture, state_text
 from cfgplan.domain import ComputationUnit, Environment, Host, InputPort, Stream, Subscription, Transformation
 from cfgplan.errors import Fault
+from cfgplan.unmet import Lack, NeededBy, Reason
 
 FLOWS = {"/result": Flow(29.97, 12.4, 300, 0, 0.01)}
 
@@ -82,7 +83,8 @@ def test_it_shows_targets_units_reviews_and_the_log() -> None:
 
 
 def test_a_reason_that_several_targets_share_is_told_once() -> None:
-    reasons = {label: f"target {label} wants T, but input i of x needs U, and no output matches" for label in "ab"}
+    lack = Lack("no output matches", "U", NeededBy("x", "i"))
+    reasons = {label: Reason(lack, label, "T") for label in "ab"}
     targets = [TargetView(label, "T", f"/{label}", 0, None, why) for label, why in reasons.items()]
     text = "\n".join(drawn(replace(SNAPSHOT, targets=tuple(targets)), width=200))
     assert re.search(
@@ -91,10 +93,26 @@ def test_a_reason_that_several_targets_share_is_told_once() -> None:
     assert re.search(r"b +/b +as a +$", text, re.MULTILINE)
 
 
+def test_what_waits_for_one_cause_has_one_row() -> None:
+    """Two rows differed only in the time: `for 4 s` and `for 3 s`."""
+    waiting = (
+        BackingOff("a", 2, 4.0, "exited with 3"),
+        BackingOff("b", 3, 3.0, "exited with 3", "r1"),
+        BackingOff("b", 3, 2.0, "exited with 3", "r2"),
+        BackingOff("c", 1, float("inf"), "exited with 3"),
+    )
+    lines = drawn(replace(SNAPSHOT, backing_off=waiting), width=200)
+    told = [" ".join(line.split()) for line in lines if "exited with 3" in line]
+    assert told == [
+        "a, b on r1, r2 not started for up to 4 s, failed 2 to 3 times: exited with 3",
+        "c not started until it changes, failed once: exited with 3",
+    ]
+
+
 def test_the_cause_of_many_targets_is_on_the_line() -> None:
     """All of the targets were named before it, and the line was cut."""
     labels = [f"target{number}" for number in range(40)]
-    targets = [TargetView(label, "T", f"/{label}", 0, None, f"target {label} wants T, but no one") for label in labels]
+    targets = [TargetView(label, "T", f"/{label}", 0, None, Reason(Lack("no one"), label, "T")) for label in labels]
     text = "\n".join(drawn(replace(SNAPSHOT, targets=tuple(targets)), width=140))
     assert "target0 and 39 more want T, but no one" in text
 
@@ -178,7 +196,7 @@ def test_what_is_lost_by_a_death_is_not_told_as_another_reason() -> None:
         REVIEW, decision=Decision.FAILED, cause="camera.1 Traceback (most recent call last):\n x\nOSError: no"
     )
     assert "the update failed: camera.1 OSError: no" in "\n".join(drawn(replace(SNAPSHOT, reviews=(failed,))))
-    undone = replace(failed, cause="the update was undone: a.1 died")
+    undone = replace(failed, cause="a.1 died", is_undone=True)
     assert ": the update was undone: a.1 died; " in "\n".join(drawn(replace(SNAPSHOT, reviews=(undone,))))
 
 

@@ -90,6 +90,13 @@ def test_a_field_that_is_not_there_is_told_once_and_makes_it_unknown() -> None:
     assert notes == ["ball.z > 0 is unknown where ball has no field `z`; it has x, y"]
 
 
+def test_a_mapping_that_is_compared_as_a_whole_is_told_with_one_of_its_fields() -> None:
+    told = ask("always[0,300ms] ball > 0", FakeSubscriptions({"Ball": stream(*[at(1)] * 5)}))
+    notes = [one.text for one in told if isinstance(one, Noted)]
+    assert notes == ["ball > 0 is unknown where ball is a mapping: compare one of its fields, such as ball.x"]
+    assert all(one.is_unknown for one in told if isinstance(one, Noted))
+
+
 def test_an_answer_that_is_open_when_the_time_is_over_says_what_it_waits_for() -> None:
     now = stream(at(-1))
     found = answer(

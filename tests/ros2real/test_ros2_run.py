@@ -117,7 +117,7 @@ def test_a_dry_run_plans_and_starts_nothing_and_names_nodes_that_are_not_there(
     env.write_text(ENVIRONMENT.replace("./talking.py talker", "./silent.py"))
     assert main(command) == 12
     said = capsys.readouterr()
-    assert "silent.py: talker is left out until its code changes: there is no file ./silent.py" in said.err
+    assert "talker is left out until its code changes: silent.py: there is no file ./silent.py" in said.err
 
 
 def test_no_warning_of_rclpy_about_quality_of_service_reaches_the_screen(env: Path) -> None:

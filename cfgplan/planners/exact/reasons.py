@@ -13,9 +13,10 @@ from cfgplan.planners.exact.rules import host_loads
 from cfgplan.planning import Failures, Feature, Problem
 from cfgplan.qualities import is_met
 from cfgplan.reasons import Providers, startable
+from cfgplan.unmet import Lack, Reason
 
 
-def joint_reasons(problem: Problem) -> dict[str, str]:
+def joint_reasons(problem: Problem) -> dict[str, Reason]:
     """A reason for each target that can't be met by itself; else one for all targets together."""
     candidates = Candidates(problem)
     unreachable = {
@@ -28,24 +29,24 @@ def joint_reasons(problem: Problem) -> dict[str, str]:
     }
     asked = f" ({', '.join(sorted(problem.features))})"
     missing = _missing_together(problem) or _missing_host(problem) or _missing_places(problem) or asked
-    joint = f"no configuration meets all that is asked together{missing}"
+    joint = Reason(Lack(f"no configuration meets all that is asked together{missing}"))
     return unreachable or {target.label: joint for target in problem.environment.targets}
 
 
-def _missed_bound(candidates: Candidates, target: Target) -> str | None:
+def _missed_bound(candidates: Candidates, target: Target) -> Reason | None:
     for wish in target.quality:
         attribute = candidates.environment.quality[wish.attribute]
         least = least_badness(candidates, attribute) if wish.bound is not None else {}
         found = [least[stream] for stream in candidates.streams(target.tag) if stream in least]
         if found and wish.bound is not None and not is_met(attribute, wish, reached := attribute.at(min(found))):
-            return (
-                f"target {target.label} asks for {attribute.name} of {'at most' if attribute.sign > 0 else 'at least'} "
-                f"{attribute.shown(wish.bound)}, but the best that any wiring reaches is {attribute.shown(reached)}"
-            )
+            side = "at most" if attribute.sign > 0 else "at least"
+            asked = f"{attribute.name} of {side} {attribute.shown(wish.bound)}"
+            best = Lack(f"the best that any wiring reaches is {attribute.shown(reached)}")
+            return Reason(best, target.label, asked, verb="asks for")
     return None
 
 
-def _missing_room(problem: Problem, target: Target) -> str | None:
+def _missing_room(problem: Problem, target: Target) -> Reason | None:
     """Name transformations that never run and that are all the ways there are; None if there are other ways.
 
     Each is too large for its hosts, or short of feeders. Without any one of them the reason would not hold.
@@ -59,11 +60,12 @@ def _missing_room(problem: Problem, target: Target) -> str | None:
         others = too_large.keys() - {label}
         if not _can_be_met(problem, target, others):
             del too_large[label]
-    return f"{_unmet(target)}: {', and '.join(too_large.values())}"
+    return _unmet(target, f": {', and '.join(too_large.values())}")
 
 
-def _unmet(target: Target) -> str:
-    return f"target {target.label} would have no {'stream' if target.run is None else 'unit'}"
+def _unmet(target: Target, why: str) -> Reason:
+    """Return the reason of a target; its words fit several targets, too."""
+    return Reason(Lack(f"would have no {'stream' if target.run is None else 'unit'}{why}"), target.label)
 
 
 def _missing_streams(problem: Problem, providers: Providers, t: Transformation) -> str | None:
@@ -204,7 +206,7 @@ def _can_be_met(
     return not startable(Environment((), library), providers, units=units).isdisjoint(providers.of(target.tag))
 
 
-def _fatal_failure(problem: Problem, target: Target) -> str | None:
+def _fatal_failure(problem: Problem, target: Target) -> Reason | None:
     """Name a failure after which no units could give the target a stream; None if there is none."""
     environment = problem.environment
     if problem.survive is None:
@@ -212,14 +214,14 @@ def _fatal_failure(problem: Problem, target: Target) -> str | None:
     for host in environment.hosts if problem.survive is Failures.HOSTS else ():
         bound = {t.label for t in environment.library if environment.hosts_for(t) == (host.name,)}
         if host.name != target.host and not _can_be_met(problem, target, bound):
-            return f"{_unmet(target)} if host {host.name} fails"
+            return _unmet(target, f" if host {host.name} fails")
     there = Counter(unit.transformation for unit in environment.units)
     most = {t.label: there[t.label] + problem.most_new(t) for t in environment.library}
     most |= {t.label: min(most[t.label], t.max_instances) for t in environment.library if t.max_instances is not None}
     for label, number in most.items():
         left = {**most, label: number - 1}
         if number == 1 and not _can_be_met(problem, target, {label}):
-            return f"{_unmet(target)} if the only unit of {label} fails"
+            return _unmet(target, f" if the only unit of {label} fails")
         if number > 1 and Feature.COUNTS in problem.features and not _can_be_met(problem, target, (), left):
-            return f"{_unmet(target)} if one of {number} units of {label} fails"
+            return _unmet(target, f" if one of {number} units of {label} fails")
     return None

@@ -18,6 +18,7 @@ from cfgplan.planning import Feature, Measured, OnProgress, Plan, Problem, Progr
 
 if TYPE_CHECKING:
     import logging
+    from collections.abc import Mapping
 
 
 @cache
@@ -53,7 +54,7 @@ class SolveState:
         self.holds_for: int | None = None
         """If given, the bound holds only for plans that leave no more required transformations unused than this."""
         self.is_infeasible = False
-        self.reasons: dict[str, str] = {}
+        self.reasons: Mapping[str, str] = {}
         """Why targets can't be met, whatever runs."""
         self.min_unused = 0
         """No valid configuration leaves fewer required transformations unused."""

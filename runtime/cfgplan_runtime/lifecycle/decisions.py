@@ -333,6 +333,7 @@ def _planned(transition: Transition, planned: Planned) -> Transition:
         return _planning(transition, planning)
     for label in findings.hurried:
         transition = _shortened(transition, label)
+    transition = transition.telling_of_failed()
     if findings.change_set is None:
         return _reviewed(transition, planning, findings, UpdateFailed(findings.cause))
     return _carried_out(transition, planning, findings)
@@ -364,7 +365,8 @@ def _shortened(transition: Transition, label: str) -> Transition:
     back_offs = situation.back_offs.shortening(label, transition.at_s)
     if back_offs is situation.back_offs:
         return transition
-    return transition.situated(replace(situation, back_offs=back_offs)).telling_back_off(label)
+    transition = transition.situated(replace(situation, back_offs=back_offs))
+    return transition.to(replace(transition.state, failed=transition.state.failed | {label}))
 
 
 def _updated(transition: Transition, updated: Updated) -> Transition:
@@ -416,10 +418,10 @@ def _failed(transition: Transition, updating: Updating, error: Exception) -> tup
                 transition = transition.situated(replace(situation, back_offs=refusing)).telling_back_off(label)
         case errors.AbandonedError(units=slow):
             transition, postponed = _postponed(transition, slow)
-            failed = UpdateFailed(str(error), postponed)
+            failed = UpdateFailed(error.cause, postponed, is_undone=True)
         case errors.ApplyError(units=slow):
-            transition, blamed = _blamed(transition, updating, slow, str(error))
-            failed = UpdateFailed(str(error), blamed)
+            transition, blamed = _blamed(transition, updating, slow, error.cause)
+            failed = UpdateFailed(error.cause, blamed, is_undone=True)
         case _:
             failed = UpdateFailed(f"the middleware failed: {type(error).__name__}: {error}", is_fault=True)
     gone = updating.starting.union(slow).difference(transition.state.running.unit)
@@ -505,6 +507,7 @@ def _record(state: State, planning: Planning, findings: Findings, failed: Update
         "" if failed is None else failed.cause,
         findings.undecided,
         external_units(findings.change_set, findings.planned),
+        failed is not None and failed.is_undone,
     )
 
 
@@ -551,7 +554,7 @@ def _finished(transition: Transition, cause: str) -> Transition:
     left = [outcome for outcomes in state.waiting.values() for outcome in outcomes]
     left += [outcome for entry in entries for outcome in entry.outcomes]
     left += [request.outcome for request in state.given]
-    error = errors.RuntimeFaultError("the manager has ended")
+    error = errors.RuntimeFaultError("the run has ended")
     nothing = replace(state, doing=None, entries=(), waiting={}, stops=(), given=(), previews=(), is_over=True)
     transition = transition.to(nothing).also(*(Respond(outcome, error) for outcome in state.previews))
     transition = transition.also(*(Respond(outcome) for outcome in state.stops))

@@ -23,6 +23,7 @@ from cfgplan.planning import Failures, Feature, Measured, Pair, Plan, Planner, P
 from cfgplan.reasons import unmet_reasons
 from cfgplan.shared_states import double_owners
 from cfgplan.summary import some
+from cfgplan.unmet import Reason
 from cfgplan.validity import Rule
 from cfgplan.validity.facts import meeting_targets, needed_by
 from cfgplan.validity.hosts import costs_there
@@ -96,7 +97,7 @@ class UnmetTargets:
     """The targets of a problem that no configuration can meet, with the reasons."""
 
     problem: Problem
-    unmet_reasons: Mapping[str, str]
+    unmet_reasons: Mapping[str, Reason]
 
     def holds_for(self, problem: Problem) -> bool:
         """Whether another problem has the same library, omitted transformations, matching and targets (and costs: they
@@ -304,7 +305,7 @@ class Deliberation:
                 found, asked, given_up = other, less, (*given_up, why)
         return found, asked, given_up
 
-    def _impossible(self, problem: Problem) -> Mapping[str, str]:
+    def _impossible(self, problem: Problem) -> Mapping[str, Reason]:
         """The targets of a problem that no configuration can meet, with the reasons."""
         if self._reach is None or not self._reach.holds_for(problem):
             self._reach = UnmetTargets(problem, unmet_reasons(problem))
@@ -488,11 +489,11 @@ def _exchanged(before: Environment, plan: Plan, new: ComputationUnit, spare: Com
     return replace(plan, change_set=before.change_to(units.values()), ties_proven=False)
 
 
-def _judged(findings: Findings, found: BestEffort, impossible: Mapping[str, str], *, optimises: bool) -> Findings:
+def _judged(findings: Findings, found: BestEffort, impossible: Mapping[str, Reason], *, optimises: bool) -> Findings:
     plan, planned = found.plan, findings.planned
     # Transformations that are left out may be why a bound is missed or a cost is too large.
     left_out = f" (left out for now: {some(sorted(findings.avoided), _MOST_AVOIDED_NAMED)})" if findings.avoided else ""
-    given_up = {label: why if label in impossible else f"{why}{left_out}" for label, why in found.given_up.items()}
+    given_up = {label: why if label in impossible else why.noted(left_out) for label, why in found.given_up.items()}
     asked = found.problem
     violations = validity.violations(planned, asked.similarity, asked.survive, asked.horizon_s)
     unmet_now = {violation.target for violation in violations if violation.rule is Rule.MET}

@@ -403,7 +403,7 @@ _REPORTS = (
     Kind(reports.FactSilent, says=_fact_silent, level=Level.WARNING),
     Kind(
         reports.Ended,
-        says=lambda it: f"the manager has ended: {it.cause}" if it.cause else None,
+        says=lambda it: f"the run has ended: {it.cause}" if it.cause else None,
         level=Level.ERROR,
         is_grave=lambda it: bool(it.cause),
     ),

@@ -420,7 +420,7 @@ class Manager:
         with self._turning_away:
             while arrival := self._inbox.take():
                 if isinstance(arrival.item, Asked | PreviewAsked):
-                    arrival.item.outcome.set_exception(RuntimeFaultError("the manager has ended"))
+                    arrival.item.outcome.set_exception(RuntimeFaultError("the run has ended"))
 
     # From any thread.
 

@@ -159,7 +159,7 @@ class HorizonReached(Perturbation, frozen=True):
 
 
 class UpdateFailed(Perturbation, frozen=True):
-    """An update was undone or refused; `transformations` are those that could not be started.
+    """An update was undone (`is_undone`) or refused; `transformations` are those that could not be started.
 
     With `is_fault` the middleware has raised an exception outside its contract, so its state is unknown.
     """
@@ -168,6 +168,7 @@ class UpdateFailed(Perturbation, frozen=True):
     transformations: tuple[str, ...] = ()
     is_stale: bool = False
     is_fault: bool = False
+    is_undone: bool = False
 
 
 class MayStartAgain(Perturbation, frozen=True):

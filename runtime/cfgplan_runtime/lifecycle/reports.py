@@ -69,6 +69,8 @@ class Review:
     """The open (offered, demanded) pairs of tags that a better plan may use."""
     external: tuple[str, ...] = ()
     """The new units that run already: external nodes of ROS."""
+    is_undone: bool = False
+    """Whether a step of the update failed for `cause`, and all was undone."""
 
 
 @dataclass(frozen=True)

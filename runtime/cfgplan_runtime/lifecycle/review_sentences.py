@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cfgplan.amounts import span
 from cfgplan.domain import ChangeSet
-from cfgplan.reasons import shared_reasons
+from cfgplan.onward import grouped
 from cfgplan.summary import some
+from cfgplan.unmet import SharedReason, read_reason, shared_reasons
 from cfgplan_runtime.errors import UNDONE, RuntimeFaultError
 from cfgplan_runtime.lifecycle.reports import Decision, Review, Snapshot
 
@@ -35,8 +38,7 @@ def decision(review: Review) -> str:
             saving = span((review.cost_before_us - (review.cost_us or 0)) / 1e6)
             return f"no change needed now; replanning at the horizon would save {saving} of CPU"
         case Decision.FAILED:
-            cause = short(review.cause)
-            return cause if cause.startswith(UNDONE) else f"the update failed: {cause}"
+            return f"{UNDONE if review.is_undone else 'the update failed'}: {short(review.cause)}"
     return f"no decision: {short(review.cause)}"
 
 
@@ -80,6 +82,59 @@ def unmet_sentences(unmet: Mapping[str, str], *, is_supposed: bool = False) -> I
         else:
             verb = "would not be" if is_supposed else "is not" if len(shared.labels) == 1 else "are not"
             yield f"{named(shared.labels)} {verb} met: {shared.text}"
+
+
+def unmet_says(unmet: Mapping[str, str]) -> list[str]:
+    """Return why targets are not met, each reason once, for records; a sentence names all targets that have it."""
+    shared = shared_reasons(dict(sorted(unmet.items())))
+    return [each.text if each.names_them else f"{', '.join(each.labels)}: {each.text}" for each in shared]
+
+
+def target_reason(target: Mapping[str, Any]) -> str:
+    """Return the reason in the record of a target, with its data if the record has it (`manual/control.md`)."""
+    return read_reason(target["why"]) if target.get("why") else target["reason"]
+
+
+def in_display_order(targets: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Return records of targets as lists show them: unmet ones first, then by priority and label."""
+    return sorted(targets, key=lambda target: (target["met"], -target["priority"], target["label"]))
+
+
+def reasons_by_target(targets: Iterable[Mapping[str, Any]], most: int = sys.maxsize) -> dict[str, SharedReason]:
+    """Return the reason of each unmet target, by label, from records of targets in their order of display.
+
+    Lists show its text for the first target that has it, and refer to that one (`as LABEL`) for the others.
+    """
+    shared = shared_reasons({each["label"]: target_reason(each) for each in targets if not each["met"]}, most)
+    return {label: each for each in shared for label in each.labels}
+
+
+@dataclass(frozen=True)
+class Waiting:
+    """Transformations that are not started for now since they have failed with the same cause."""
+
+    names: tuple[str, ...]
+    cause: str
+    says: str
+
+
+def waiting(backing_off: Iterable[Mapping[str, Any]]) -> list[Waiting]:
+    """Return what waits, from the records of a state (`manual/control.md`); each cause is told once."""
+    alike = grouped(((one["left_s"] is None, short(one["cause"])), one) for one in backing_off)
+    return [_waiting(these, cause, until_changed=until_changed) for (until_changed, cause), these in alike.items()]
+
+
+def _waiting(these: Sequence[Mapping[str, Any]], cause: str, *, until_changed: bool) -> Waiting:
+    is_one = len(these) == 1
+    hosts = grouped((one["transformation"], one.get("host")) for one in these)
+    names = [f"{label} on {named(filter(None, where))}" if any(where) else label for label, where in hosts.items()]
+    fewest, most = (pick(one["failures"] for one in these) for pick in (min, max))
+    often = "once" if most == 1 else f"{most} times" if fewest == most else f"{fewest} to {most} times"
+    if until_changed:
+        again = "until it changes" if len(names) == 1 else "until they change"
+    else:
+        again = f"for {'' if is_one else 'up to '}{span(max(one['left_s'] for one in these))}"
+    return Waiting(tuple(names), cause, f"not started {again}, failed {often}: {cause}")
 
 
 _PAST, _INFINITIVES = ("adopted", "started", "rewired", "stopped"), ("adopt", "start", "rewire", "stop")

@@ -118,6 +118,8 @@ class State:
     waiting: Mapping[str, tuple[Outcome, ...]] = field(default_factory=dict)
     """By unit: the requests that wait for the review after its end."""
     notes: Mapping[str, Note] = field(default_factory=dict)
+    failed: frozenset[str] = frozenset()
+    """The transformations whose last back-off is reported as soon as a plan shows whether it is shortened."""
     losses: Mapping[SubscriptionLost, tuple[int, float]] = field(default_factory=dict)
     """How often each subscription was lost in a row, and when last."""
     giving: Giving = field(default_factory=Giving)

@@ -220,10 +220,17 @@ class Transition:
 
     def blamed(self, place: Place, lived_s: float, cause: str, *, is_costly: bool = False) -> Transition:
         """Note a failure of a transformation whose unit has lived so long; see `BackOffs.after_failure`."""
-        situation, label = self.state.situation, place.label
+        situation = self.state.situation
         back_offs = situation.back_offs.after_failure(place, lived_s, self.at_s, cause, is_costly=is_costly)
         transition = self.also(LearnOfFailure(place)).situated(replace(situation, back_offs=back_offs))
-        return transition.telling_back_off(label)
+        return transition.to(replace(transition.state, failed=transition.state.failed | {place.label}))
+
+    def telling_of_failed(self) -> Transition:
+        """Report the back-offs of the transformations that have failed since the last plan."""
+        told = self
+        for label in sorted(self.state.failed):
+            told = told.telling_back_off(label)
+        return told.to(replace(told.state, failed=frozenset())) if self.state.failed else self
 
     def telling_back_off(self, label: str) -> Transition:
         """Report the back-off of a transformation, if it has one now."""

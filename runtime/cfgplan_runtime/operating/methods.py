@@ -23,7 +23,7 @@ from cfgplan_runtime.lifecycle import changes
 from cfgplan_runtime.lifecycle.basis import Preview, plan_text, previewed
 from cfgplan_runtime.lifecycle.deliberation import Findings
 from cfgplan_runtime.lifecycle.reports import Review, Snapshot
-from cfgplan_runtime.lifecycle.review_sentences import preview_sentence, supposed_sentence
+from cfgplan_runtime.lifecycle.review_sentences import preview_sentence, supposed_sentence, unmet_says
 from cfgplan_runtime.operating.control_server import Method
 from cfgplan_runtime.operating.declaration import Declared, declaration
 from cfgplan_runtime.operating.flows import Flows
@@ -31,7 +31,7 @@ from cfgplan_runtime.operating.moments import MOMENTS_KEPT, Moments
 from cfgplan_runtime.operating.past import Past
 from cfgplan_runtime.operating.printed import Printed
 from cfgplan_runtime.operating.protocol import Record, RefusedError
-from cfgplan_runtime.operating.records import change_record, review_record, snapshot_record, wired
+from cfgplan_runtime.operating.records import change_record, plain, review_record, snapshot_record, wired
 from cfgplan_runtime.operating.stream_rates import StreamRates
 from cfgplan_runtime.operating.taps import LeasedTaps
 
@@ -172,7 +172,8 @@ class Methods:
         return {
             "plan": json.loads(plan_text(preview)),
             "says": preview_sentence(findings),
-            "unmet": dict(findings.unmet),
+            "unmet": plain(findings.unmet),
+            "unmet_says": unmet_says(findings.unmet),
             "running": [wired(unit) for unit in findings.running.units],
         }
 
@@ -298,7 +299,8 @@ class Methods:
             "bound_us": findings.bound_us,
             "is_proven": findings.is_proven,
             "change_set": None if findings.change_set is None else change_record(findings.change_set),
-            "unmet": dict(findings.unmet),
+            "unmet": plain(findings.unmet),
+            "unmet_says": unmet_says(findings.unmet),
             "newly_unmet": sorted(met & findings.unmet.keys()),
         }
 

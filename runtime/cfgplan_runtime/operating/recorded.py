@@ -22,9 +22,10 @@ OWN_TOPICS = "/cfgplan/"
 """Begins the topics of a run's own events and reviews, which are no streams."""
 ENVIRONMENT, ONTOLOGY = "environment.yaml", "ontology.ofn"
 """The attachments with the recorded run's environment and ontology."""
-_FIRST_BYTES = b"\x89MCAP0\r\n"
+_MAGIC = b"\x89MCAP0\r\n"
+"""The first and the last bytes of a recording."""
 _MEND = "a recording of `cfgplan run --record` is needed"
-_RECOVER = "use another copy, or save what can be read: `mcap recover FILE` (https://mcap.dev/guides/cli)"
+_RECOVER = "save what can be read: `mcap recover FILE` (https://mcap.dev/guides/cli)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +175,7 @@ def _opened(path: Path) -> Iterator[McapReader]:
         raise InputError.of(f"this is {found}, not a file", file=str(path), mend=_MEND)
     try:
         with path.open("rb") as file:
-            if file.read(len(_FIRST_BYTES)) != _FIRST_BYTES:
+            if file.read(len(_MAGIC)) != _MAGIC:
                 raise InputError.of("this is not a recording", file=str(path), mend=_MEND)
             file.seek(0)
             yield make_reader(file, validate_crcs=True)
@@ -185,5 +186,15 @@ def _opened(path: Path) -> Iterator[McapReader]:
     except Exception as error:  # mcap checks little: a damaged file raises whatever its bytes lead to
         if isinstance(error, OSError) and error.errno != errno.EINVAL:  # EINVAL: it seeks to a place before the file
             raise InputError.of(f"can't be read: {error.strerror}", file=str(path)) from None
-        said = f"this recording is damaged ({type(error).__name__})"
-        raise InputError.of(said, file=str(path), mend=_RECOVER) from None
+        if _has_end(path):
+            said, mend = f"this recording is damaged ({type(error).__name__})", f"use another copy, or {_RECOVER}"
+        else:
+            said = "this recording has no end: its run still writes it, or was killed, or the file was cut"
+            mend = f"wait for the end of the run, or {_RECOVER}"
+        raise InputError.of(said, file=str(path), mend=mend) from None
+
+
+def _has_end(path: Path) -> bool:
+    with path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - len(_MAGIC)))
+        return file.read() == _MAGIC

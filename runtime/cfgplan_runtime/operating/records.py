@@ -18,9 +18,11 @@ from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Stream
 from cfgplan.facts import value_text
 from cfgplan.formats.dump import plain_unit
 from cfgplan.qualities import MICRO
+from cfgplan.unmet import reason_record
 from cfgplan_runtime.lifecycle import reports
 from cfgplan_runtime.lifecycle.kinds import Urgency, kind_of, review_sentence
 from cfgplan_runtime.lifecycle.perturbations import Perturbation
+from cfgplan_runtime.lifecycle.review_sentences import unmet_says
 from cfgplan_runtime.operating.protocol import Record
 from cfgplan_runtime.supervision.run_log import RunLog
 
@@ -74,8 +76,11 @@ def _quality(view: reports.QualityView) -> Record:
 
 
 def review_record(review: reports.Review) -> Record:
-    """A review as a record; `says` is its sentence, and its change set is as `change_record` gives it."""
+    """A review as a record; `says` is its sentence, `unmet_says` has each reason of unmet targets once, and its change
+    set is as `change_record` gives it.
+    """
     record = _fields(review)
+    record["unmet_says"] = unmet_says(review.unmet)
     record["says"] = review_sentence(review)
     record["change_set"] = None if review.change_set is None else change_record(review.change_set)
     return record
@@ -105,8 +110,10 @@ def plain(value: Any) -> Any:
     match value:
         case Enum():
             return value.value
-        case bool() | int() | str() | None:
+        case bool() | int() | None:
             return value
+        case str():
+            return str(value)  # a `Reason` keeps its data nowhere in JSON
         case float():
             return _number(value)
         case Stream():
@@ -152,7 +159,8 @@ def _target(target: reports.TargetView, flow: Record | None) -> Record:
         "met": target.is_met,
         "stream": None if target.stream is None else str(target.stream),
         "unit": target.unit,
-        "reason": target.reason,
+        "reason": str(target.reason),
+        "why": reason_record(target.reason) if target.reason else None,
     }
     return {**record, **(flow or {})}
 

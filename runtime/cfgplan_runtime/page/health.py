@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from cfgplan.amounts import span
 from cfgplan.summary import counted, some
+from cfgplan_runtime.lifecycle.review_sentences import in_display_order, waiting
 from cfgplan_runtime.operating.protocol import Record
 
 QUIET_S = 5.0
@@ -18,8 +19,8 @@ def health(state: Record) -> Record:
     Unmet targets are bad; the first named is the one of the highest priority. Anything else that needs an eye is a
     warning.
     """
-    targets = state["targets"]
-    unmet = sorted((target for target in targets if not target["met"]), key=lambda target: -target["priority"])
+    targets = in_display_order(state["targets"])
+    unmet = [target for target in targets if not target["met"]]
     if unmet:
         first, many = unmet[0], counted(len(targets), "target")
         is_one = len(unmet) == 1
@@ -47,8 +48,8 @@ def _warnings(state: Record) -> Iterator[str]:
     for unit in state["units"]:
         if unit.get("unfed"):
             yield f"nothing feeds {some(unit['unfed'])} of {unit['id']}"
-    for each in state["backing_off"]:
-        yield f"{each['transformation']} waits to be started again: {each['cause']}"
+    for each in waiting(state["backing_off"]):
+        yield f"{some(each.names)} {'waits' if len(each.names) == 1 else 'wait'} to be started again: {each.cause}"
     if state["faults"]:
         yield f"the file has an error: {state['faults'][0]['message']}"
     for unit in state["units"]:

@@ -54,7 +54,7 @@ const found = (text) => text.toLowerCase().includes(byId("find").value.trim().to
 export function targets(state, choose) {
   const isOnly = byId("only-unmet").checked;
   const shown = state.targets.filter((target) => !(isOnly && target.met) && found(target.label));
-  shown.sort((a, b) => a.met - b.met);
+  const labels = new Set(shown.map((target) => target.label));
   targetRows.show(shown.map((target) => [target.label, target]), (label) => choose({ kind: "target", id: label }));
   for (const row of targetRows.visible()) {
     const target = row.item, parts = row.parts;
@@ -63,7 +63,7 @@ export function targets(state, choose) {
     put(parts.rate, target.rate_hz == null || target.stream === null ? "" : rate(target.rate_hz));
     draw(parts["rate line"], `target ${target.label}`);
     const last = target.silent_s == null ? "nothing came yet" : target.silent_s > 2 ? `last ${span(target.silent_s)} ago` : target.latency_ms == null ? "" : `${span(target.latency_ms / 1000)} old`;
-    name(parts.about, target.met ? [target.stream ?? target.unit, target.stream ? last : ""].filter(Boolean).join(" · ") : target.reason || "not met");
+    name(parts.about, target.met ? [target.stream ?? target.unit, target.stream ? last : ""].filter(Boolean).join(" · ") : reason(target, labels), target.met ? undefined : target.reason);
     quality(parts, ofStream(state, target.stream));
   }
 }
@@ -81,9 +81,13 @@ export function units(state, choose) {
     put(parts.wrong, unit.unfed?.length ? "unfed" : unit.errors ? `${unit.errors} errors` : unit.dropped ? `${unit.dropped} lost` : "");
   }
 }
-function name(element, text) {
+// A reason is told at the first target that has it, as the terminal does; where a search hides that one, at each.
+function reason(target, shown) {
+  return target.as !== target.label && shown.has(target.as) ? `as ${target.as}` : target.told || "not met";
+}
+function name(element, text, title = text) {
   put(element, text);
-  attribute(element, "title", text);
+  attribute(element, "title", title);
 }
 export const qualitiesOf = (state, unit) => state.qualities.filter((one) => one.output.startsWith(`${unit.transformation}/`) && (one.host === undefined || one.host === unit.host));
 function ofStream(state, stream) {

@@ -53,7 +53,7 @@ function tiles() {
     ...Object.entries(state.barred).flatMap(([label, hosts]) =>
       Object.entries(hosts).map(([host, why]) => `${label} may not run on ${host} for now: ${why}`)),
     ...Object.entries(state.qualities_now).map(([what, value]) => `${what} ${value}`),
-    ...state.backing_off.map((one) => `${one.transformation} has failed ${one.failures} times and waits: ${one.cause}`)];
+    ...state.waiting.map((one) => `${one.names.join(", ")}: ${one.says}`)];
   const key = JSON.stringify(notes), list = byId("notes");
   if (list.dataset.key !== key) {
     list.dataset.key = key;

@@ -75,7 +75,7 @@ function more(review) {
     proof: review.cost_us == null ? "" : review.is_proven ? "proven: no plan is cheaper" : `no plan costs less than ${cost(review.bound_us)}`,
     started: names(changes.started), rewired: names(changes.rewired), stopped: names(changes.stopped),
     took: Object.entries(review.seconds || {}).map(([phase, s]) => `${phase} ${span(s)}`).join(", "),
-    failed: review.cause, "left out": of(review.avoided), "not met": of(review.unmet),
+    failed: review.cause, "left out": of(review.avoided), "not met": review.unmet_says.join("; "),
   };
   for (const [name, value] of Object.entries(rows)) if (value) about.append(made("dt", name), made("dd", String(value)));
   return about;

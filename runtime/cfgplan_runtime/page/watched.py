@@ -8,14 +8,16 @@ import threading
 import time
 from asyncio import AbstractEventLoop, Queue
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
+from cfgplan.unmet import SharedReason
 from cfgplan_runtime.errors import ControlError
 from cfgplan_runtime.lifecycle.kinds import Shown, kind_named
+from cfgplan_runtime.lifecycle.review_sentences import in_display_order, reasons_by_target, waiting
 from cfgplan_runtime.operating.control_client import Control
 from cfgplan_runtime.operating.protocol import Record, RefusedError
 from cfgplan_runtime.page.health import health
@@ -29,6 +31,8 @@ REFRESH_S = 0.5
 _MOST_NEWS = 300
 _MOST_WAITING = 200
 """The most messages that wait for a viewer; older ones are dropped."""
+_MOST_IN_ROW = 1
+"""The most targets and inputs that a row names, so that it has room for the cause."""
 _RUN_S = 10.0
 _REVIEWED_S = 80.0
 """Seconds that a change may take: it is answered when its review is over."""
@@ -143,7 +147,7 @@ class Watched:
     def moment(self, review: int) -> Record:
         """Return the state right after a review, as viewers get it. Raises RefusedError and ControlError."""
         with self._reach() as control:
-            return _seen(control.call("state", timeout_s=_RUN_S, review=review))
+            return as_seen(control.call("state", timeout_s=_RUN_S, review=review))
 
     def _topic_of(self, stream: str) -> str:
         """Return a topic that shows a stream, or a target's topic, to observers. Raises RefusedError, ControlError."""
@@ -187,7 +191,7 @@ class Watched:
                 reviews = ("reviews", json.dumps(state["reviews"]))
                 if reviews != self._reviews:
                     self._tell(reviews)
-                self._tell(("state", json.dumps(_seen(state))))
+                self._tell(("state", json.dumps(as_seen(state))))
                 if not self.has_ended.wait(FRAME_S):
                     self._is_due.wait(REFRESH_S - FRAME_S)
 
@@ -215,11 +219,25 @@ def _time(event: Record) -> Record:
     return {"time_s": event["time_s"]} if "time_s" in event else {}
 
 
-def _seen(state: Record) -> Record:
-    """A state as viewers get it: with its health, and with the source lines of faults."""
+def as_seen(state: Record) -> Record:
+    """A state as viewers get it: with its health, each reason and cause once, and the source lines of faults."""
     del state["transformations"], state["reviews"]
     units = [
         {**unit, "last_error": error_record(unit["last_error"])} if unit.get("last_error") else unit
         for unit in state["units"]
     ]
-    return {**state, "units": units, "faults": list(map(fault_record, state["faults"])), "health": health(state)}
+    targets = in_display_order(state["targets"])
+    reasons = reasons_by_target(targets, _MOST_IN_ROW)
+    return {
+        **state,
+        "targets": [_target(target, reasons.get(target["label"])) for target in targets],
+        "units": units,
+        "waiting": [{"names": each.names, "says": each.says} for each in waiting(state["backing_off"])],
+        "faults": list(map(fault_record, state["faults"])),
+        "health": health(state),
+    }
+
+
+def _target(target: Mapping[str, Any], reason: SharedReason | None) -> Record:
+    """Add what lists show of an unmet target: `told`, its reason, and `as`, the first target that has it."""
+    return {**target} if reason is None else {**target, "told": reason.text, "as": reason.labels[0]}

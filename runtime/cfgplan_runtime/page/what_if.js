@@ -27,7 +27,7 @@ export async function suppose(change, params, title) {
     difference: answer.cost_us === null ? "" : `${more < 0 ? "−" : "+"}${cost(Math.abs(more))}`,
     proof: answer.is_proven ? "proven: no plan is cheaper" : `not proven; no plan costs less than ${cost(answer.bound_us)}`,
     start: names(changes.started), rewire: names(changes.rewired), stop: names(changes.stopped),
-    "then not met": Object.entries(answer.unmet).map(([label, why]) => `${label}: ${why}`).join("; "),
+    "then not met": answer.unmet_says.join("; "),
   });
   const act = button("Do it", async () => {
     clear(number);

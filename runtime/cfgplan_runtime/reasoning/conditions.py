@@ -183,6 +183,10 @@ class Comparison:
             return _COMPARE[self.sign](bool(left), bool(right))
         numbers = _float(left), _float(right)
         if numbers[0] is None or numbers[1] is None:
+            for part, value in ((self.left, left), (self.right, right)):
+                if isinstance(value, Mapping) and value:
+                    field = f"{part}.{next(iter(value))}"
+                    raise UnsuitableValueError(f"{part} is a mapping: compare one of its fields, such as {field}")
             raise UnsuitableValueError(f"{_shown(left)} and {_shown(right)} are compared by {self.sign}")
         if math.isnan(numbers[0]) or math.isnan(numbers[1]):
             raise NoValueError

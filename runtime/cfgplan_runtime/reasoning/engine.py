@@ -13,9 +13,11 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from typing import Any, NamedTuple
 
 from cfgplan.domain import Target
+from cfgplan.unmet import Reason
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.reasoning import queries
 from cfgplan_runtime.reasoning.conditions import Evaluator
@@ -58,9 +60,9 @@ class Engine:
         self._subscriptions = subscriptions
         self._report = report
         self._name = name or os.urandom(3).hex()
-        self._inbox: queue.SimpleQueue[tuple[str, Any, int] | Exception | str | _Ended] = queue.SimpleQueue()
+        self._inbox: queue.SimpleQueue[tuple[str, Any, int] | Exception | queries.Noted | _Ended] = queue.SimpleQueue()
         self._is_over = threading.Event()
-        self._evaluator = Evaluator(query.program, query.declared.regions, self._note)
+        self._evaluator = Evaluator(query.program, query.declared.regions, partial(self._note, is_unknown=True))
         self._streams: Synchroniser | None = None
         self._ahead_ns = 0
         """The difference of the run's clock from `_now_ns`."""
@@ -119,7 +121,7 @@ class Engine:
             while reasons := self._subscriptions.unmet([target.label for target in targets]):
                 if time.monotonic() >= begin + wait_s:
                     told = {
-                        names[label]: why.replace(f"target {label}", names[label]) for label, why in reasons.items()
+                        names[label]: Reason.of(why).about("feature", names[label]) for label, why in reasons.items()
                     }
                     raise queries.UnmetTargetsError(told)
                 time.sleep(_ENGINE_LOOK_S)
@@ -184,8 +186,8 @@ class Engine:
             for _ in range(_MOST_AT_ONCE):
                 if isinstance(found, Exception):
                     raise found
-                if isinstance(found, str):
-                    self._report(queries.Noted(found))
+                if isinstance(found, queries.Noted):
+                    self._report(found)
                 elif isinstance(found, _Ended):
                     self._ended.add(found.feature)
                     self._report(queries.Noted(f"the stream of {found.feature} has ended"))
@@ -248,8 +250,8 @@ class Engine:
         with suppress(queue.Empty):
             while True:
                 found = self._inbox.get_nowait()
-                if isinstance(found, str):
-                    self._report(queries.Noted(found))
+                if isinstance(found, queries.Noted):
+                    self._report(found)
 
-    def _note(self, text: str) -> None:
-        self._inbox.put(text)
+    def _note(self, text: str, *, is_unknown: bool = False) -> None:
+        self._inbox.put(queries.Noted(text, is_unknown))

@@ -14,7 +14,7 @@ from cfgplan.errors import Fault, InputError
 from cfgplan_runtime.lifecycle.changes import Add, Change, Remove
 from cfgplan_runtime.lifecycle.kinds import Level, level, sentence
 from cfgplan_runtime.lifecycle.reports import Decision, Report, Review, Reviewed, Snapshot, UnitEvent
-from cfgplan_runtime.lifecycle.review_sentences import decision
+from cfgplan_runtime.lifecycle.review_sentences import decision, target_reason
 from cfgplan_runtime.reasoning.features import DeclaredFeatures, Feature
 from cfgplan_runtime.streams.subscription import SubscriptionToTopic, subscribe
 
@@ -96,7 +96,7 @@ class RemoteSubscriptions:
     def unmet(self, labels: Sequence[str]) -> Mapping[str, str]:
         targets = {each["label"]: each for each in self._call("state")["targets"]}
         reasons = {
-            label: targets[label]["reason"] if label in targets else "it is unknown to the run" for label in labels
+            label: target_reason(targets[label]) if label in targets else "it is unknown to the run" for label in labels
         }
         return {label: reason for label, reason in reasons.items() if not targets.get(label, {}).get("met")}
 

@@ -118,9 +118,12 @@ class SetUp:
 
 @dataclass(frozen=True, slots=True)
 class Noted:
-    """An event that affects the answer, such as a unit that died, or a value without the needed field."""
+    """An event that affects the answer, such as a unit that died, or a value without the needed field. In the latter
+    case, a condition `is_unknown`.
+    """
 
     text: str
+    is_unknown: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -145,7 +145,7 @@ class Supervisor:
             carried = self._drive(update)
         except ApplyError as error:
             self.spares.keep(self.environment, self.now())
-            self._report(events.RolledBack(name, str(error)))
+            self._report(events.RolledBack(name, error.cause))
             raise
         finally:
             self._is_abandoned = lambda: False

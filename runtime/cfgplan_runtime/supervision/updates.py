@@ -11,7 +11,7 @@ from functools import partial
 
 from cfgplan.domain import ALL, ChangeSet, Environment
 from cfgplan.errors import InvalidValueError
-from cfgplan_runtime.errors import UNDONE, AbandonedError, ApplyError, NoSourceError, StaleChangeSetError
+from cfgplan_runtime.errors import AbandonedError, ApplyError, NoSourceError, StaleChangeSetError
 from cfgplan_runtime.supervision import wiring
 from cfgplan_runtime.supervision.backend import Inlet
 from cfgplan_runtime.supervision.commands import (
@@ -114,10 +114,10 @@ def carry_out(
     except StepFailedError as error:
         yield from update.undo(error.units, keeps_new=keeps_new)
         kind = AbandonedError if error.is_abandoned else ApplyError
-        raise kind(f"{UNDONE}: {error}", error.units) from None
+        raise kind(str(error), error.units) from None
     except Exception as error:  # thrown in: a command could not be carried out
         yield from update.undo([], keeps_new=keeps_new)
-        raise ApplyError(f"{UNDONE}: {type(error).__name__}: {error}") from error
+        raise ApplyError(f"{type(error).__name__}: {error}") from error
     yield Commit()
     yield from update.handovers.report()
     unswitched = len(progress.switching())
