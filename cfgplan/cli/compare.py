@@ -95,8 +95,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         said += [f"{each['environment']}: {each['planner']} crashed: {each['message']}" for each in crashes]
         screen.show(Text("\n".join(said), style="bold red"))
         if options.traceback:
-            screen.show(Text("\n".join(each["traceback"] for each in crashes)))
-        elif crashes:
+            screen.show(Text("\n".join(each["traceback"] for each in crashes if each["traceback"])))
+        elif any(each["traceback"] for each in crashes):
             screen.note("Add --traceback to see where.")
     elif any(each["proof_s"] is not None for each in runs):
         screen.show(Text("All proofs agree, and every plan passes the judge.", style="bold green"))
