@@ -81,8 +81,8 @@ __all__, __getattr__, __dir__ = exports(
         "domain": "ChangeSet ComputationUnit Environment Host InputPort OutputPort Publication Similarity Stream "
         "Subscription Target Transformation",
         "errors": "CfgplanError Fault InputError InvalidValueError",
-        "planning": "Failures Feature OwnPlannerError Plan Planner PlannerFaultError Problem Progress Status fresh_unit_ids "
-        "refuse_features",
+        "planning": "Failures Feature OwnPlannerError Plan Planner PlannerFaultError Problem Progress Status "
+        "fresh_unit_ids refuse_features",
         "qualities": "Better Contribution Over QualityAttribute QualityRule Wish",
         "validity": "Rule Violation plan_violations violations",
     },
