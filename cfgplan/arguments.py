@@ -269,7 +269,8 @@ def _names(cls: type) -> list[str]:
 def _kind(text: str, fits: Callable[[Any], bool], exact: Iterable[type] = ()) -> _Kind:
     def read(value: object) -> object:
         if not fits(value):
-            raise _is(value)
+            namesake = f" of {type(value).__module__.partition('.')[0]}" if _shown(value) == text else ""
+            raise _MisfitError(f"is {_shown(value)}{namesake}")
         return value
 
     return _Kind(text, frozenset(exact), read)

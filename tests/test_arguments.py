@@ -179,6 +179,14 @@ def test_an_ontology_that_is_none_is_refused() -> None:
             matching.read_owlready(wrong)
 
 
+def test_a_class_of_the_same_name_is_told_with_its_package() -> None:
+    from owlready2 import get_ontology
+
+    ontology: Any = get_ontology("http://a.org/b#")
+    with pytest.raises(InvalidValueError, match=r"ontology must be an Ontology, but is an Ontology of owlready2$"):
+        matching.match(["A"], ["A"], ontology)
+
+
 def test_ontology_files_may_be_named_by_texts(tmp_path: Path) -> None:
     file = tmp_path / "a.ttl"
     file.write_text("@prefix : <http://a#> . @prefix owl: <http://www.w3.org/2002/07/owl#> . :A a owl:Class .")

@@ -84,7 +84,7 @@ def load_ontology(
     own_iris: dict[Path, str | None] = {}
     ignored: set[str] = set()
     faults: list[Fault] = []
-    shown = {Path(path).resolve(): os.fspath(path) for path in paths}
+    shown = {Path(path).resolve(): os.fspath(path) or "." for path in paths}
     waiting = [Path(path).resolve() for path in reversed(paths)]
     given = {iri.rstrip("#/"): None if path is None else Path(path) for iri, path in (imports or {}).items()}
     while waiting:
