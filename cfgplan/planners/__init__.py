@@ -56,6 +56,8 @@ def planner_of(planner: str | Planner) -> Planner:
     OwnPlannerError.
     """
     if not isinstance(planner, str):
+        if (getattr(planner, "__module__", None) or "").startswith(f"{__name__}."):  # as a session's
+            return _deciding(lambda: planner)
         return _own(f"{planner.__module__}:{planner.__qualname__}" if hasattr(planner, "__qualname__") else "", planner)
     if ":" not in planner:
         return PLANNERS[known(planner, PLANNERS, "planner", f"name one of {', '.join(PLANNERS)}, or module:function")]

@@ -14,8 +14,9 @@ from cfgplan.cli import main
 from cfgplan.cli.exits import Exit
 from cfgplan.comparing import Limits, RunFailure, entrant, run_one
 from cfgplan.errors import InputError
-from cfgplan.planners import PLANNERS
-from cfgplan.planning import OwnPlannerError, Plan, Problem
+from cfgplan.planners import PLANNERS, exhaustive
+from cfgplan.planners.cpsat import PlannerSession
+from cfgplan.planning import OwnPlannerError, Plan, Planner, Problem
 from experiments.study.instances import generated
 from experiments.study.plots import write_plots
 from experiments.study.runner import run_one as row_of
@@ -69,6 +70,14 @@ def test_it_solves_under_its_own_name(capsys: pytest.CaptureFixture[str]) -> Non
     assert f"proven by {named(knows_better)}" in capsys.readouterr().out
     problem = cfgplan.match(cfgplan.load(LOST))
     assert cfgplan.plan(problem, planner=knows_better) == cfgplan.plan(problem, planner=named(knows_better))
+
+
+@pytest.mark.parametrize(
+    ("planner", "name"), [(PlannerSession().plan, "cpsat"), (exhaustive.plan, "exhaustive")], ids=["session", "oracle"]
+)
+def test_a_function_of_cfgplan_plans_under_the_name_of_its_planner(planner: Planner, name: str) -> None:
+    problem = cfgplan.match(cfgplan.load(LOST))
+    assert cfgplan.plan(problem, planner=planner).planner == name
 
 
 def test_run_takes_it(capsys: pytest.CaptureFixture[str]) -> None:
