@@ -51,15 +51,20 @@ if TYPE_CHECKING:
     from cfgplan.errors import InvalidValueError as InvalidValueError
     from cfgplan.planning import Failures as Failures
     from cfgplan.planning import Feature as Feature
+    from cfgplan.planning import OwnPlannerError as OwnPlannerError
     from cfgplan.planning import Plan as Plan
     from cfgplan.planning import Planner as Planner
+    from cfgplan.planning import PlannerFaultError as PlannerFaultError
     from cfgplan.planning import Problem as Problem
     from cfgplan.planning import Progress as Progress
     from cfgplan.planning import Status as Status
+    from cfgplan.planning import fresh_unit_ids as fresh_unit_ids
+    from cfgplan.planning import refuse_features as refuse_features
     from cfgplan.qualities import Better as Better
     from cfgplan.qualities import Contribution as Contribution
     from cfgplan.qualities import Over as Over
     from cfgplan.qualities import QualityAttribute as QualityAttribute
+    from cfgplan.qualities import QualityRule as QualityRule
     from cfgplan.qualities import Wish as Wish
     from cfgplan.validity import Rule as Rule
     from cfgplan.validity import Violation as Violation
@@ -76,8 +81,9 @@ __all__, __getattr__, __dir__ = exports(
         "domain": "ChangeSet ComputationUnit Environment Host InputPort OutputPort Publication Similarity Stream "
         "Subscription Target Transformation",
         "errors": "CfgplanError Fault InputError InvalidValueError",
-        "planning": "Failures Feature Plan Planner Problem Progress Status",
-        "qualities": "Better Contribution Over QualityAttribute Wish",
+        "planning": "Failures Feature OwnPlannerError Plan Planner PlannerFaultError Problem Progress Status "
+        "fresh_unit_ids refuse_features",
+        "qualities": "Better Contribution Over QualityAttribute QualityRule Wish",
         "validity": "Rule Violation plan_violations violations",
     },
 )

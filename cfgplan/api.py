@@ -16,11 +16,11 @@ from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from cfgplan.arguments import Natural, Seconds, checked
+from cfgplan.arguments import Natural, Seconds, checked, unsuitable
 from cfgplan.cache_folder import cache_folder
 from cfgplan.canonical import fields_of
 from cfgplan.domain import ENVIRONMENT_HEADS, Environment, Similarity, environment_rows
-from cfgplan.errors import Fault, InputError, UnknownNameError, known
+from cfgplan.errors import Fault, InputError, InvalidValueError, UnknownNameError, known
 from cfgplan.extras import is_there
 from cfgplan.matching import REASONERS, Ontology
 from cfgplan.planners import PLANNERS, planner_of
@@ -185,8 +185,8 @@ def world(
 ) -> World:
     """Return a world built in code; `ontology` is an `owlready2` ontology, a file's path or a list of paths.
 
-    Without an ontology every name in a tag is free. Tags are read by `match`, which raises InputError for what does
-    not parse.
+    An `owlready2` ontology is read as it is now: later changes need a new world. Without an ontology every name in a
+    tag is free. Tags are read by `match`, which raises InputError for what does not parse.
     """
     known = _as_ontology(ontology)
     return World(environment, known, horizon_s, max_cost_us)
@@ -524,7 +524,13 @@ def _as_ontology(ontology: object) -> Ontology:
     if isinstance(ontology, Ontology):
         return ontology
     paths = [ontology] if isinstance(ontology, (str, os.PathLike)) else ontology
-    return load_ontology([*map(Path, paths)]) if isinstance(paths, (list, tuple)) else read_owlready(ontology)
+    if isinstance(paths, (list, tuple)) and all(isinstance(path, (str, os.PathLike)) for path in paths):
+        return load_ontology(paths)
+    try:
+        return read_owlready(ontology)
+    except InvalidValueError:
+        wanted = "None, an owlready2 ontology, a path or a list of paths"
+        raise unsuitable("world()", "ontology", wanted, ontology) from None
 
 
 def write_file(path: Path, content: bytes) -> None:

@@ -153,7 +153,11 @@ def _checked_function(function: Callable[..., Any]) -> Callable[..., Any]:
 
     @wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
-        bound = signature().bind(*args, **kwargs)
+        __tracebackhide__ = True  # of pytest: the fault is the caller's
+        try:
+            bound = signature().bind(*args, **kwargs)
+        except TypeError as error:
+            raise TypeError(f"{function.__name__}(): {error}") from None
         for name, value in bound.arguments.items():
             kind = kinds().get(name)
             if kind is not None and type(value) not in kind.exact:
@@ -174,6 +178,11 @@ def _owner(value: Any) -> str:
 
 def _refusal(owner: str, name: str, kind: _Kind, misfit: _MisfitError) -> InvalidValueError:
     return InvalidValueError(f"{owner}: {name} must be {kind.text}, but {misfit.shown}")
+
+
+def unsuitable(owner: str, name: str, wanted: str, value: object) -> InvalidValueError:
+    """Return the error for an argument that has no annotation of its own: `owner` takes only what is `wanted`."""
+    return InvalidValueError(f"{owner}: {name} must be {wanted}, but is {_shown(value)}")
 
 
 def _is(value: object) -> _MisfitError:
@@ -261,7 +270,8 @@ def _names(cls: type) -> list[str]:
 def _kind(text: str, fits: Callable[[Any], bool], exact: Iterable[type] = ()) -> _Kind:
     def read(value: object) -> object:
         if not fits(value):
-            raise _is(value)
+            namesake = f" of {type(value).__module__.partition('.')[0]}" if _shown(value) == text else ""
+            raise _MisfitError(f"is {_shown(value)}{namesake}")
         return value
 
     return _Kind(text, frozenset(exact), read)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
@@ -290,7 +290,10 @@ class Plan:
 
 
 class PlannerFaultError(CfgplanError):
-    """A bug of a planner, not of the input, after a plan was found: `plan` is that plan, with nothing proven."""
+    """A bug of a planner, not of the input, after a plan was found: `plan` is that plan, with nothing proven.
+
+    `message` says what went wrong.
+    """
 
     def __init__(self, message: str, plan: Plan) -> None:
         self.plan = plan
@@ -302,7 +305,7 @@ class PlannerFaultError(CfgplanError):
 class OwnPlannerError(CfgplanError):
     """A user's planner raised an exception that it must not, which is the cause, or returned no `Plan`.
 
-    `mend` says how to correct it.
+    `text` says which of both, `mend` how to correct it.
     """
 
     def __init__(self, text: str, *, mend: str = "CFGPLAN_TRACEBACK=1 shows where") -> None:
@@ -352,8 +355,11 @@ class Decider(Protocol):
         ...
 
 
-def fresh_unit_ids(environment: Environment, labels: list[str]) -> dict[str, str]:
-    """An id for one new unit of each label: `label.N` with the least N that nothing runs or refers to."""
+@checked
+def fresh_unit_ids(environment: Environment, labels: Collection[str]) -> dict[str, str]:
+    """Return an id for one new unit of each of the `labels`: `camera.N` with the least N that nothing runs or refers
+    to.
+    """
     return {label: ids[0] for label, ids in fresh_units(environment, dict.fromkeys(labels, 1)).items()}
 
 
@@ -375,8 +381,12 @@ def refuse_order(problem: Problem, who: str) -> None:
         raise InputError.of(f"{who} compare costs, but `minimise` is [{named}]", mend="leave `minimise` out")
 
 
+@checked
 def refuse_features(problem: Problem, who: str) -> None:
-    """Raise InputError if a problem has features that only `cpsat` and `exhaustive` know."""
+    """Raise InputError if a problem has features beyond the paper, which only `cpsat` and `exhaustive` know.
+
+    `who` is the name of the planner that refuses it.
+    """
     if problem.features:
         known = " and ".join(sorted(problem.features))
         raise InputError.of(f"{who} does not support {known}", mend="use the planner cpsat")

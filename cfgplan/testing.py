@@ -138,6 +138,7 @@ def check_planner(
     """Check a planner against the oracle and the judge, as `examine_planner` does. Raises AssertionError with its
     faults.
     """
+    __tracebackhide__ = True  # of pytest: the fault is the planner's
     report = examine_planner(
         plan,
         number=number,

@@ -21,7 +21,7 @@ from experiments.planning import VARIANTS, takes_part
 from experiments.planning.scale_suite import SCALE_SEEDS, scale
 from experiments.planning.scaling import measure_loads, write_scale
 from experiments.study.instances import named
-from experiments.study.invariants import breaches
+from experiments.study.invariants import breaches, failures
 from experiments.study.report import write_report
 from experiments.study.rows import Row, read_rows
 from experiments.study.runner import everyone, progress_bar, run
@@ -53,6 +53,8 @@ def main() -> int:
     write = write_scale if options.suite == "scale" else write_report
     for path in write(rows, folder):
         print(path)
+    for text in failures(rows):
+        print(text, file=sys.stderr)
     found = breaches(rows)
     for text in found:
         print(f"CONTRADICTION: {text}", file=sys.stderr)

@@ -16,15 +16,18 @@ import numpy as np
 import pytest
 
 import cfgplan
-from cfgplan import testing
+from cfgplan import matching, testing
 from cfgplan.arguments import checked
 from cfgplan.errors import InvalidValueError
+from cfgplan.planners import cpsat
 from cfgplan.planning import Measured
 from cfgplan.transformations import RunOptions
 
 ROOT = Path(__file__).parent.parent
 UNCHECKED = {"Fault", "PlannerFault", "PlannerReport", "Solved"}
 """What cfgplan makes for its users, and they do not make."""
+CHECKED_BY_HAND = {"check_tag", "read_owlready"}
+"""The first is called for each tag of a file; the other takes an object of a package that is imported late."""
 OBJECT = object()
 WRONG: dict[str, tuple[object, ...]] = {
     "int": (math.nan, "10", True, 1.5, OBJECT),
@@ -60,6 +63,10 @@ def public() -> Iterator[tuple[str, Callable[..., Any]]]:
             is_made = inspect.isclass(found) and "__dataclass_fields__" in vars(found)
             if (is_made or inspect.isfunction(found)) and name not in UNCHECKED:
                 yield name, found
+    for name in matching.__all__:
+        found = getattr(matching, name)
+        if inspect.isfunction(found) and name not in CHECKED_BY_HAND:
+            yield f"matching.{name}", found
     yield from (("Link", cfgplan.domain.Link), ("Measured", Measured), ("RunOptions", RunOptions))
 
 
@@ -86,7 +93,8 @@ def right() -> dict[str, dict[str, object]]:
         "similarity": problem.similarity,
         "ontology": world.ontology,
     }
-    return {"": named, "check_planner": {"plan": len}, "examine_planner": {"plan": len}}
+    tags = {"paths": [], "offered": ["A"], "demanded": ["A"], "offered_tags": ["A"], "demanded_tags": ["A"]}
+    return {"": {**tags, **named}, "check_planner": {"plan": len}, "examine_planner": {"plan": len}}
 
 
 def value_of(name: str, argument: inspect.Parameter, right: dict[str, dict[str, object]]) -> object:
@@ -161,6 +169,47 @@ def test_a_function_that_is_no_planner_is_told_from_a_name() -> None:
     problem = cfgplan.match(cfgplan.world(cfgplan.Environment(), horizon_s=1))
     with pytest.raises(InvalidValueError, match="planner must be a text or a function, but is 3"):
         cfgplan.plan(problem, planner=3)  # type: ignore[arg-type]
+
+
+def test_an_ontology_that_is_none_is_refused() -> None:
+    for wrong in (3, {"a.owl"}, [3], [OBJECT], OBJECT, cfgplan.Environment):
+        with pytest.raises(InvalidValueError, match=r"world\(\): ontology must be None, an owlready2 .*, but is "):
+            cfgplan.world(cfgplan.Environment(), horizon_s=1, ontology=wrong)
+        with pytest.raises(InvalidValueError, match=r"read_owlready\(\): onto must be an owlready2 ontology, but is "):
+            matching.read_owlready(wrong)
+
+
+def test_a_class_of_the_same_name_is_told_with_its_package() -> None:
+    from owlready2 import get_ontology
+
+    ontology: Any = get_ontology("http://a.org/b#")
+    with pytest.raises(InvalidValueError, match=r"ontology must be an Ontology, but is an Ontology of owlready2$"):
+        matching.match(["A"], ["A"], ontology)
+
+
+def test_ontology_files_may_be_named_by_texts(tmp_path: Path) -> None:
+    file = tmp_path / "a.ttl"
+    file.write_text("@prefix : <http://a#> . @prefix owl: <http://www.w3.org/2002/07/owl#> . :A a owl:Class .")
+    named = matching.load_ontology([str(file)], {"http://b": str(file)})
+    assert matching.match(["A"], ["A"], named).similarity.holds("A", "A")
+
+
+@pytest.mark.parametrize("plan", [cpsat.plan, cpsat.PlannerSession().plan], ids=["plan", "session"])
+def test_the_planner_refuses_what_it_can_not_plan(plan: Callable[..., Any]) -> None:
+    world = cfgplan.world(cfgplan.Environment(), horizon_s=1)
+    for wrong in (world, world.environment, None):
+        with pytest.raises(InvalidValueError, match=r"problem must be a Problem, but is "):
+            plan(wrong)
+    for limit in (-1, math.nan, "3"):
+        with pytest.raises(InvalidValueError, match=r"time_limit_s must be a number of 0 or more or None, but is "):
+            plan(cfgplan.match(world), time_limit_s=limit)
+
+
+def test_a_missing_and_an_unknown_argument_are_told_with_the_function() -> None:
+    with pytest.raises(TypeError, match=r"world\(\): missing a required argument: 'horizon_s'"):
+        cfgplan.world(cfgplan.Environment())  # type: ignore[call-arg]
+    with pytest.raises(TypeError, match=r"solve\(\): got an unexpected keyword argument 'timeout'"):
+        cfgplan.solve(cfgplan.world(cfgplan.Environment(), horizon_s=1), timeout=3)  # type: ignore[call-arg]
 
 
 def test_the_first_value_may_be_of_a_subclass_with_fields_of_its_own() -> None:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 from importlib import import_module
 from pathlib import Path
@@ -45,6 +46,7 @@ PARTS: dict[str, type[Part]] = {
     "A fact": fields.FactPart,
     "`defaults`": fields.DefaultsPart,
 }
+PACKAGES = {"cfgplan", "cfgplan_runtime"}
 YAML_ONLY = (
     fields.ConflictsPart,
     fields.ContributionPart,
@@ -125,6 +127,22 @@ def test_a_package_that_hands_out_names_lazily_or_by_a_list_is_on_the_page() -> 
             if re.search(r"^__all__\b", path.read_text(encoding="utf-8"), re.MULTILINE):
                 found.add(".".join(path.relative_to(top.parent).with_suffix("").parts).removesuffix(".__init__"))
     assert found - inner == set(re.findall(r"\| `(cfgplan[\w.]*)` \|", TEXT["public"]))
+
+
+def test_code_of_the_manual_imports_public_names_or_those_that_are_said_not_to_be() -> None:
+    rows = re.findall(r"\| `(cfgplan[\w.]*)` \| (.*) \|", TEXT["public"])
+    public = {f"{package}.{name}" for package, names in rows for name in re.findall(r"`(\w+)`", names)}
+    (said,) = re.findall(r"^Examples on the pages (.*)$", TEXT["public"], re.MULTILINE)
+    excepted, pages = re.findall(r"`([\w.]+)`", said), re.findall(r"\((\w+)\.md\)", said)
+    others = set[tuple[str, str]]()
+    for page, text in TEXT.items():
+        for block in blocks(text, "python"):
+            for found in ast.walk(ast.parse(block)):
+                if isinstance(found, ast.ImportFrom) and (found.module or "").partition(".")[0] in PACKAGES:
+                    imported = {f"{found.module}.{each.name}" for each in found.names}
+                    others |= {(page, name) for name in imported - public}
+    assert {name for page, name in others if not name.startswith(tuple(f"{each}." for each in excepted))} == set()
+    assert sorted({page for page, _ in others}) == pages
 
 
 def test_what_the_page_on_trouble_quotes_is_said_somewhere() -> None:

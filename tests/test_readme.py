@@ -6,7 +6,9 @@ import re
 from pathlib import Path
 
 import pytest
+import yaml
 
+import cfgplan
 from cfgplan.cli import main
 
 ROOT = Path(__file__).parent.parent
@@ -43,3 +45,9 @@ def test_its_first_picture_is_a_short_film() -> None:
     with image.open(path) as film:
         assert film.is_animated
         assert film.n_frames > 10
+
+
+def test_the_citation_is_that_of_this_version() -> None:
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert {"cff-version", "message", "title", "authors"} <= cited.keys()
+    assert cited["version"] == cfgplan.__version__

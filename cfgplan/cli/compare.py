@@ -61,7 +61,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
-    from cfgplan import comparing
+    from cfgplan import __version__, comparing
     from cfgplan.cli.styled import Text
 
     for name in options.planner or ():
@@ -80,7 +80,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
                 work.best = f"{env}: {planner.name}, {len(found) + 1} of {len(entrants)}"
                 found.append(comparing.run_one(problem, planner, limits))
         plotted[env] = found
-        runs += [{"environment": env, **asdict(each)} for each in found]
+        runs += [{"environment": env, "environment_digest": world.digest, **asdict(each)} for each in found]
         contradictions += [f"{env}: {text}" for text in comparing.contradictions(found)]
         if not screen.json:
             screen.show(_table(env, found))
@@ -89,14 +89,15 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         shared.write_plots(options.plot, size, len(plotted), partial(_draw, plotted), screen)
     crashes = [each for each in runs if each["outcome"] == comparing.RunFailure.CRASHED]
     if screen.json:
-        screen.show_json({"runs": runs, "contradictions": contradictions})
+        told = {"cfgplan": __version__, "time_limit_s": limits.time_limit_s, "memory_mb": limits.memory_mb}
+        screen.show_json({**told, "runs": runs, "contradictions": contradictions})
     elif contradictions or crashes:
         said = [f"contradiction: {text}" for text in contradictions]
         said += [f"{each['environment']}: {each['planner']} crashed: {each['message']}" for each in crashes]
         screen.show(Text("\n".join(said), style="bold red"))
         if options.traceback:
-            screen.show(Text("\n".join(each["traceback"] for each in crashes)))
-        elif crashes:
+            screen.show(Text("\n".join(each["traceback"] for each in crashes if each["traceback"])))
+        elif any(each["traceback"] for each in crashes):
             screen.note("Add --traceback to see where.")
     elif any(each["proof_s"] is not None for each in runs):
         screen.show(Text("All proofs agree, and every plan passes the judge.", style="bold green"))

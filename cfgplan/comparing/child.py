@@ -1,5 +1,7 @@
 """The process of one run: reads a task from stdin, and writes progress and the answer to stdout as JSON lines.
 
+The line `CALLED` comes first, when everything is imported.
+
 Before each run the problem is unpickled again and existing objects are excluded from garbage collection. A run shorter
 than `SHORT_S` is repeated and the median run is reported, since other load and cold caches may double its time.
 Output that the planner prints itself goes to stderr. If the process is killed, it writes no answer; the parent records
@@ -18,17 +20,20 @@ from base64 import b64decode
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from sysconfig import get_path
 from time import perf_counter
 from traceback import extract_tb, format_exc
 from typing import Any, TextIO
 
 from cfgplan.comparing.entrants import Entrant
-from cfgplan.comparing.runs import Point, RunFailure
-from cfgplan.errors import CfgplanError
+from cfgplan.comparing.runs import CALLED, Point, RunFailure
+from cfgplan.errors import InputError
 from cfgplan.planning import Plan, Planner, Problem, Progress
 from cfgplan.unmet import shared_reasons
 from cfgplan.validity import plan_violations
 
+_NOT_OWN = (Path(__file__).parents[1], *(Path(get_path(kind)) for kind in ("stdlib", "purelib", "platlib")))
+"""The folders of cfgplan, of Python and of installed packages."""
 SHORT_S, RUNS = 0.5, 3
 """A run shorter than SHORT_S seconds is repeated, RUNS times in all."""
 
@@ -47,7 +52,7 @@ def main() -> None:
         answer = {"outcome": RunFailure.UNAVAILABLE, "message": str(error)}
     except MemoryError:
         answer = {"outcome": RunFailure.OUT_OF_MEMORY}
-    except CfgplanError as error:
+    except InputError as error:
         answer = {"outcome": RunFailure.REFUSED, "message": str(error)}
     except Exception as error:
         answer = {"outcome": RunFailure.CRASHED, "message": crash_text(error), "traceback": format_exc()}
@@ -55,9 +60,18 @@ def main() -> None:
 
 
 def crash_text(error: Exception) -> str:
-    """Return an exception's type, message and place in at most 300 characters."""
-    place = extract_tb(error.__traceback__)[-1]
+    """Return an exception's type, message and place in at most 300 characters.
+
+    The place is the last line outside of cfgplan and Python, if there is one: that of a planner of the user's own.
+    """
+    places = extract_tb(error.__traceback__)
+    place = next((place for place in reversed(places) if _is_own(place.filename)), places[-1])
     return f"{type(error).__name__}: {error} ({Path(place.filename).name}, line {place.lineno})"[:300]
+
+
+def _is_own(file: str) -> bool:
+    """Return whether a file is the user's; names such as `<string>` are those of code that is in no file."""
+    return not file.startswith("<") and not any(Path(file).is_relative_to(each) for each in _NOT_OWN)
 
 
 def _run(entrant: Entrant, problem: bytes, time_limit_s: float, out: TextIO) -> dict[str, Any]:
@@ -68,6 +82,7 @@ def _run(entrant: Entrant, problem: bytes, time_limit_s: float, out: TextIO) -> 
     def tell(point: Point) -> None:
         print(json.dumps(point), file=out, flush=True)
 
+    print(CALLED, file=out, flush=True)
     runs = [_timed(planner, problem, time_limit_s, tell)]
     peak_mb = _peak_mb()
     while runs[0].total_s < SHORT_S and len(runs) < RUNS:
@@ -105,6 +120,8 @@ def _timed(planner: Planner, pickled: bytes, time_limit_s: float, tell: Callable
     began = perf_counter()
 
     def report(progress: Progress) -> None:
+        if not isinstance(progress, Progress):
+            raise TypeError(f"it reported {progress!r:.60}, not a cfgplan.Progress")
         trace.append((perf_counter() - began, progress.cost_us, progress.bound_us))
         tell(trace[-1])
 

@@ -8,6 +8,7 @@ import pickle
 import signal
 import subprocess
 import sys
+import time
 from base64 import b64encode
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -41,6 +42,12 @@ Point = tuple[float, int | None, int]
 MOST_POINTS = 40
 MOST_SAID = 4000
 """Number of characters kept of the output of a crashed process."""
+CALLED = "called"
+"""The first line that the process of a run writes: the planner's time begins."""
+START_S = 120.0
+"""Seconds that the process of a run has to import its modules, which is no time of the planner."""
+_WATCH_S = 0.2
+"""Seconds between two looks at a process."""
 CHILD = (sys.executable, "-m", "cfgplan.comparing.child")
 """The command that starts the process of a run."""
 
@@ -88,8 +95,8 @@ class Run:
 class Limits:
     """The limits of a run.
 
-    The planner gets `time_limit_s` seconds; `grace_s` seconds later (time for the start of the process, the last step
-    and the judge) its process is killed. `memory_mb` limits the address space. Raises InvalidValueError if not
+    The planner gets `time_limit_s` seconds, from its call on; `grace_s` seconds later (time for the last step and the
+    judge) its process is killed. `memory_mb` limits the address space. Raises InvalidValueError if not
     positive.
     """
 
@@ -184,15 +191,46 @@ def _answer(entrant: Entrant, limits: Limits, problem: str) -> tuple[list[Point]
         "time_limit_s": limits.time_limit_s,
         "memory_mb": limits.memory_mb,
     }
-    out, err, code = _run_process(json.dumps(task), limits.time_limit_s + limits.grace_s)
+    out, err, code = _run_process(task, limits.time_limit_s + limits.grace_s)
     trace, answer = _parsed(out)
-    return trace, answer or _failure(code, err)
+    return trace, answer or _failure(code, out, err)
 
 
-def _run_process(task: str, limit_s: float) -> tuple[str, str, int | None]:
-    """The output, the errors and the exit code of a child; no code if it had to be killed."""
+def _run_process(task: Mapping[str, Any], limit_s: float) -> tuple[str, str, int | None]:
+    """Return the output, the errors and the exit code of a child.
+
+    It has no code if it had to be killed: `START_S` seconds after its start, or `limit_s` after the planner's call.
+    """
+    process = _started()
+    given: str | None = json.dumps(task)
+    was_called, end_s = False, time.monotonic() + START_S
+    try:
+        while True:
+            try:
+                out, err = process.communicate(given, timeout=_WATCH_S)
+                return out, err, process.returncode
+            except subprocess.TimeoutExpired as error:
+                given = None
+                if error.output and not was_called:
+                    was_called, end_s = True, time.monotonic() + limit_s
+            if time.monotonic() >= end_s:
+                _kill(process)
+                return *process.communicate(), None
+    except BaseException:
+        _kill(process)
+        process.wait()
+        raise
+
+
+def _kill(process: subprocess.Popen[str]) -> None:
+    with suppress(ProcessLookupError):  # it may just have ended
+        os.killpg(process.pid, signal.SIGKILL)
+
+
+def _started() -> subprocess.Popen[str]:
+    """Start the process of a run."""
     path = os.pathsep.join(entry or str(Path.cwd()) for entry in sys.path)
-    process = subprocess.Popen(
+    return subprocess.Popen(
         CHILD,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
@@ -203,19 +241,6 @@ def _run_process(task: str, limit_s: float) -> tuple[str, str, int | None]:
         env={**os.environ, "PYTHONPATH": path},
         start_new_session=True,
     )
-    try:
-        out, err = process.communicate(task, timeout=limit_s)
-    except subprocess.TimeoutExpired:
-        with suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)
-        out, err = process.communicate()
-        return out, err, None
-    except BaseException:
-        with suppress(ProcessLookupError):  # Ctrl-C may come when it has just ended
-            os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
-        raise
-    return out, err, process.returncode
 
 
 def _parsed(out: str) -> tuple[list[Point], dict[str, Any] | None]:
@@ -236,14 +261,17 @@ def _parsed(out: str) -> tuple[list[Point], dict[str, Any] | None]:
     return trace, None
 
 
-def _failure(code: int | None, err: str) -> dict[str, Any]:
+def _failure(code: int | None, out: str, err: str) -> dict[str, Any]:
+    if code is None and not out:
+        return {"outcome": RunFailure.CRASHED, "message": f"its modules were not imported within {START_S:g} s"}
     if code is None:
         return {"outcome": RunFailure.KILLED}
     if "MemoryError" in err or "bad_alloc" in err:
         return {"outcome": RunFailure.OUT_OF_MEMORY}
     ending = err.strip().splitlines()[-1:] or [""]
     how = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
-    return {"outcome": RunFailure.CRASHED, "message": f"{how}: {ending[0]}"[:300], "traceback": err[-MOST_SAID:]}
+    message = f"{how}: {ending[0]}" if ending[0] else how
+    return {"outcome": RunFailure.CRASHED, "message": message[:300], "traceback": err[-MOST_SAID:]}
 
 
 def _times(trace: Sequence[Point], answer: dict[str, Any]) -> tuple[float | None, float | None]:

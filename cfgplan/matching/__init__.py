@@ -37,7 +37,8 @@ __all__, __getattr__, __dir__ = exports(
     {
         "answer": "Matching",
         "explanation": "MatchExplanation Nearest explain_match near_offers",
-        "faults": "InconsistentOntologyError ReasonerError ReasonerTimeoutError",
+        "faults": "InconsistentOntologyError MatchingError ReasonerError ReasonerTimeoutError TagError "
+        "UnknownNameError",
         "ontology_files": "load_ontology read_owlready",
         "matrix": "Matches check_tag instances match",
         "ontology": "Ontology",

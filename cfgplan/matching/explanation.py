@@ -6,6 +6,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from cfgplan.arguments import Seconds, checked
 from cfgplan.domain import Similarity
 from cfgplan.errors import close_names
 from cfgplan.matching.concepts import BOTTOM, Concept, Intersection
@@ -71,13 +72,14 @@ class Nearest:
         return "; ".join(told) or "would match"
 
 
+@checked
 def explain_match(
     offered_tag: str,
     demanded_tag: str,
     ontology: Ontology,
     *,
     reasoner: str = "auto",
-    time_limit_s: float | None = None,
+    time_limit_s: Seconds | None = None,
 ) -> MatchExplanation:
     """Why one tag does or does not feed another. Raises TagError and InputError."""
     demanded = parse_tag(demanded_tag, ontology)
@@ -108,13 +110,14 @@ def explain_match(
     )
 
 
+@checked
 def near_offers(
     demanded_tags: Collection[str],
     offered_tags: Collection[str],
     ontology: Ontology,
     *,
     reasoner: str = "auto",
-    time_limit_s: float | None = None,
+    time_limit_s: Seconds | None = None,
 ) -> dict[str, tuple[Nearest, ...]]:
     """Return the offered tags nearest to each demanded tag: fewest missing conjuncts first, then fewest undecided ones.
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from cfgplan.errors import MatchingError
+from cfgplan.errors import MatchingError as MatchingError
+from cfgplan.errors import TagError as TagError
+from cfgplan.errors import UnknownNameError as UnknownNameError
 
 
 class ReasonerError(MatchingError):

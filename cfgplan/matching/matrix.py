@@ -12,6 +12,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
+from cfgplan.arguments import Seconds, checked
 from cfgplan.canonical import normal
 from cfgplan.domain import Similarity
 from cfgplan.errors import UnknownNameError
@@ -27,13 +28,14 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 
+@checked
 def match(
     offered: Collection[str],
     demanded: Collection[str],
     ontology: Ontology,
     *,
     reasoner: str = "auto",
-    time_limit_s: float | None = None,
+    time_limit_s: Seconds | None = None,
     cache: Path | None = None,
 ) -> Matching:
     """Decide which offered tags may feed which demanded ones; tags are texts exactly as given.
@@ -130,8 +132,9 @@ def check_tag(text: str, ontology: Ontology) -> None:
     parse_tag(text, ontology)
 
 
+@checked
 def instances(
-    ontology: Ontology, class_or_tag: str, *, time_limit_s: float | None = None, cache: Path | None = None
+    ontology: Ontology, class_or_tag: str, *, time_limit_s: Seconds | None = None, cache: Path | None = None
 ) -> tuple[str, ...]:
     """Return the sorted names of the individuals that belong to a class or tag, asserted or inferred.
 
@@ -144,7 +147,7 @@ def instances(
         raise UnknownNameError(f"{name!r} is an individual, but a class is expected here")
     parse_tag(name, ontology)
     tags = {f"{{{ontology.in_tag(iri)}}}": individual for individual, iri in ontology.individuals.items()}
-    found = match(tags, [name], ontology, time_limit_s=time_limit_s, cache=cache)
+    found = match([*tags], [name], ontology, time_limit_s=time_limit_s, cache=cache)
     if found.similarity.open:
         message = f"it could not be decided in {time_limit_s} s which individuals belong to {name!r}"
         raise ReasonerTimeoutError(message, "simplify the ontology, or name the individuals")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -12,6 +13,7 @@ from types import MappingProxyType
 from typing import Any, Final
 from urllib.parse import unquote, urlsplit
 
+from cfgplan.arguments import checked, unsuitable
 from cfgplan.errors import Fault, InputError, close_file
 from cfgplan.file_content import content_of
 from cfgplan.matching.catalog import catalogued
@@ -51,16 +53,17 @@ _BUILT_INS: Final = "<http://www.w3.org/2003/11/swrlb#"
 """Manchester syntax does not tell built-ins from data properties."""
 _NOT_TOLD: Final = "no reasoner gets its built-ins"
 
-_MISSING = "check the path under `ontology:`; it is relative to the environment file, and web addresses are not fetched"
+_MISSING = "check the path: in an environment file it is relative to that file, and web addresses are not fetched"
 _NO_IMPORT = (
     "name its file in the environment file by `imports: {{{0}: file.ttl}}`, or ignore it by `imports: {{{0}: ignore}}`"
 )
 _NO_TEXT = "name a file in Turtle, RDF/XML, JSON-LD, OWL/XML, functional or Manchester syntax"
 
 
+@checked
 def load_ontology(
-    paths: Sequence[Path],
-    imports: Mapping[str, Path | None] | None = None,
+    paths: Sequence[str | os.PathLike[str]],
+    imports: Mapping[str, str | os.PathLike[str] | None] | None = None,
     *,
     ignores_rules: bool = False,
     cache: Path | None = None,
@@ -81,9 +84,9 @@ def load_ontology(
     own_iris: dict[Path, str | None] = {}
     ignored: set[str] = set()
     faults: list[Fault] = []
-    waiting = [path.resolve() for path in reversed(paths)]
-    shown = {path.resolve(): str(path) for path in paths}
-    given = {iri.rstrip("#/"): path for iri, path in (imports or {}).items()}
+    shown = {Path(path).resolve(): os.fspath(path) or "." for path in paths}
+    waiting = [Path(path).resolve() for path in reversed(paths)]
+    given = {iri.rstrip("#/"): None if path is None else Path(path) for iri, path in (imports or {}).items()}
     while waiting:
         path = waiting.pop()
         if path in documents:
@@ -159,7 +162,12 @@ def load_ontology(
 
 
 def read_owlready(onto: Any) -> Ontology:
-    """The axioms of an `owlready2` ontology object and of those that it imports. Raises InputError."""
+    """Return the axioms that an `owlready2` ontology object, and those that it imports, have now.
+
+    Later changes of the object have no effect. Raises InputError for axioms that can't be used.
+    """
+    if not any(kind.__module__ == "owlready2.namespace" and kind.__name__ == "Ontology" for kind in type(onto).__mro__):
+        raise unsuitable("read_owlready()", "onto", "an owlready2 ontology", onto)
     axioms: list[str] = []
     dropped: dict[str, str] = {}
     lost_rules: list[tuple[str, str]] = []

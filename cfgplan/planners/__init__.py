@@ -14,12 +14,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from importlib import import_module
 from inspect import signature
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from cfgplan.errors import CfgplanError, InputError, known
+from cfgplan.errors import InputError, known
 from cfgplan.planners.undecided import Deciding
-from cfgplan.planning import OnProgress, OwnPlannerError, Plan, Planner, Problem
+from cfgplan.planning import OnProgress, OwnPlannerError, Plan, Planner, PlannerFaultError, Problem
 
 
 def _deciding(found: Callable[[], Planner]) -> Planner:
@@ -55,6 +56,8 @@ def planner_of(planner: str | Planner) -> Planner:
     OwnPlannerError.
     """
     if not isinstance(planner, str):
+        if (getattr(planner, "__module__", None) or "").startswith(f"{__name__}."):  # as a session's
+            return _deciding(lambda: planner)
         return _own(f"{planner.__module__}:{planner.__qualname__}" if hasattr(planner, "__qualname__") else "", planner)
     if ":" not in planner:
         return PLANNERS[known(planner, PLANNERS, "planner", f"name one of {', '.join(PLANNERS)}, or module:function")]
@@ -62,13 +65,17 @@ def planner_of(planner: str | Planner) -> Planner:
         return _own(planner, function_at(planner))
     except ImportError as error:
         mend = "name it as module:function; the module is looked for where Python looks, and here"
+        file, _, function = planner.partition(":")
+        if file.endswith(".py") and Path(file).stem.isidentifier():
+            folder = "" if Path(file).parent == Path() else f", in the folder {Path(file).parent}"
+            mend = f"write {Path(file).stem}:{function or 'plan'}{folder}: a module has no ending"
         raise InputError.of(f"the planner {planner!r} can't be used: {error}", mend=mend) from error
 
 
 def function_at(name: str) -> Callable[..., Any]:
     """The function at `module:function`. Raises ImportError."""
     module, _, function = name.partition(":")
-    if not (module and function):
+    if not (function and all(part.isidentifier() for part in module.split("."))):
         raise ImportError(f"{name!r} is not module:function")
     found = getattr(import_module(module), function, None)
     if not callable(found):
@@ -77,7 +84,10 @@ def function_at(name: str) -> Callable[..., Any]:
 
 
 def _own(name: str, function: Planner) -> Planner:
-    """Return a function as a planner of this name; other exceptions than CfgplanError become OwnPlannerError."""
+    """Return a function as a planner of this name, whose faults raise OwnPlannerError.
+
+    InputError is a planner's way to refuse a problem, and the errors of other planners that it calls are theirs.
+    """
     deciding = _deciding(lambda: function)
 
     def planner(problem: Problem, **how: Any) -> Plan:
@@ -90,7 +100,7 @@ def _own(name: str, function: Planner) -> Planner:
             pass
         try:
             found = deciding(problem, **how)
-        except CfgplanError:
+        except (InputError, OwnPlannerError, PlannerFaultError):
             raise
         except Exception as error:
             raise OwnPlannerError(f"the planner {name} failed: {type(error).__name__}: {error}") from error

@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+from cfgplan.comparing import RunFailure
 from cfgplan.comparing.runs import best_used, contradictions
 from experiments.study.rows import Row
 
@@ -51,6 +52,16 @@ def gap(row: Row, reference: Mapping[tuple[str, str], LeastCost]) -> float | Non
         return None
     least_us = least.cost_us
     return (row.cost_us - least_us) / least_us if least_us else float(row.cost_us > 0)
+
+
+def failures(rows: Iterable[Row]) -> list[str]:
+    """Return a sentence for each planner that crashed or lacks a package, with the reason of its first such run."""
+    told = {RunFailure.CRASHED, RunFailure.UNAVAILABLE}
+    first: dict[str, Row] = {}
+    for row in rows:
+        if row.outcome in told:
+            first.setdefault(row.planner, row)
+    return [f"{planner}: {row.outcome} at {row.instance}: {row.message}" for planner, row in sorted(first.items())]
 
 
 def breaches(rows: Iterable[Row]) -> list[str]:

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from cfgplan_runtime.supervision.simulated_backend import SimulatedBackend as SimulatedBackend
     from cfgplan_runtime.supervision.supervisor import Supervisor as Supervisor
     from cfgplan_runtime.supervision.updates import Patience as Patience
+    from cfgplan_runtime.supervision.wiring import wanted_feeds as wanted_feeds
 
 __all__, _exported, __dir__ = exports(
     __name__,
@@ -49,6 +50,7 @@ __all__, _exported, __dir__ = exports(
         "supervision.simulated_backend": "SimulatedBackend",
         "streams.subscription": "Received subscribe",
         "supervision.supervisor": "Supervisor",
+        "supervision.wiring": "wanted_feeds",
         "children.unit_code": "At WithQuality",
     },
 )

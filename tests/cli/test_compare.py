@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from command import MODELS, Run
 
+import cfgplan
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Plan, Problem
 
@@ -63,6 +64,10 @@ def test_every_run_on_every_file_is_in_the_json(run: Run, write: Callable[[str],
     result = run("compare", path, other, "--planner", "branch-and-bound", "--planner", "cpsat", "--json")
     assert result.code == 0
     assert result.document["contradictions"] == []
+    about = {key: result.document[key] for key in ("cfgplan", "time_limit_s", "memory_mb")}
+    assert about == {"cfgplan": cfgplan.__version__, "time_limit_s": 10.0, "memory_mb": None}
+    digests = {each["environment"]: each["environment_digest"] for each in result.document["runs"]}
+    assert digests == {str(env): cfgplan.load(env).digest for env in (path, other)}
     assert [(r["environment"], r["planner"], r["cost_us"]) for r in result.document["runs"][:2]] == [
         (str(path), "branch-and-bound", 7_000_000),
         (str(path), "cpsat", 4_000_000),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,8 +13,10 @@ import cfgplan
 from cfgplan.cli import main
 from cfgplan.cli.exits import Exit
 from cfgplan.comparing import Limits, RunFailure, entrant, run_one
-from cfgplan.planners import PLANNERS
-from cfgplan.planning import OwnPlannerError, Plan, Problem
+from cfgplan.errors import InputError
+from cfgplan.planners import PLANNERS, exhaustive
+from cfgplan.planners.cpsat import PlannerSession
+from cfgplan.planning import OwnPlannerError, Plan, Planner, Problem
 from experiments.study.instances import generated
 from experiments.study.plots import write_plots
 from experiments.study.runner import run_one as row_of
@@ -44,6 +47,20 @@ def boasts(problem: Problem, **_: object) -> Plan:
     return replace(PLANNERS["cpsat"](problem), cost_us=1, bound_us=1)
 
 
+def makes_an_impossible_value(problem: Problem, **_: object) -> Plan:
+    return replace(PLANNERS["cpsat"](problem), counts={"steps": "many"})  # type: ignore[dict-item]
+
+
+def reports_a_text(problem: Problem, *, report: Callable[[object], None] | None = None, **_: object) -> Plan:
+    assert report is not None
+    report("half done")
+    return PLANNERS["cpsat"](problem)
+
+
+def leaves(_: Problem, **__: object) -> Plan:
+    raise SystemExit(2)
+
+
 def named(function: Callable[..., object]) -> str:
     return f"{__name__}:{function.__name__}"
 
@@ -53,6 +70,14 @@ def test_it_solves_under_its_own_name(capsys: pytest.CaptureFixture[str]) -> Non
     assert f"proven by {named(knows_better)}" in capsys.readouterr().out
     problem = cfgplan.match(cfgplan.load(LOST))
     assert cfgplan.plan(problem, planner=knows_better) == cfgplan.plan(problem, planner=named(knows_better))
+
+
+@pytest.mark.parametrize(
+    ("planner", "name"), [(PlannerSession().plan, "cpsat"), (exhaustive.plan, "exhaustive")], ids=["session", "oracle"]
+)
+def test_a_function_of_cfgplan_plans_under_the_name_of_its_planner(planner: Planner, name: str) -> None:
+    problem = cfgplan.match(cfgplan.load(LOST))
+    assert cfgplan.plan(problem, planner=planner).planner == name
 
 
 def test_run_takes_it(capsys: pytest.CaptureFixture[str]) -> None:
@@ -65,6 +90,7 @@ def test_run_takes_it(capsys: pytest.CaptureFixture[str]) -> None:
     [
         (breaks, "failed: ZeroDivisionError: 6 transformations are too many for me", "CFGPLAN_TRACEBACK=1 shows where"),
         (answers_with_a_number, "returned 42, not a cfgplan.Plan", "return a cfgplan.Plan, with the status UNKNOWN"),
+        (makes_an_impossible_value, "failed: InvalidValueError: Plan", "CFGPLAN_TRACEBACK=1 shows where"),
         (asks_for_less, "can't be called: got an unexpected keyword argument", "write it as `def plan(problem, *,"),
     ],
 )
@@ -124,6 +150,53 @@ def test_compare_says_why_one_crashed_and_does_not_end_with_0(capsys: pytest.Cap
     assert main([*arguments, "--traceback"]) == Exit.INVALID
     assert "Traceback (most recent call last)" in capsys.readouterr().out
     assert run_one(SMALL.problem, entrant(named(answers_with_a_number)), LIMITS).outcome == RunFailure.CRASHED
+
+
+@pytest.mark.parametrize(
+    ("planner", "error"),
+    [
+        (makes_an_impossible_value, "InvalidValueError: Plan: counts must be a mapping"),
+        (reports_a_text, "TypeError: it reported 'half done', not a cfgplan.Progress"),
+    ],
+)
+def test_a_crash_inside_of_cfgplan_is_told_with_the_line_of_the_planner(
+    planner: Callable[..., object], error: str
+) -> None:
+    row = run_one(SMALL.problem, entrant(named(planner)), LIMITS)
+    assert row.outcome == RunFailure.CRASHED, "it is no refusal"
+    first = planner.__code__.co_firstlineno
+    assert row.message.startswith(error)
+    line = re.search(r"\(test_own_planner\.py, line (\d+)\)$", row.message)
+    assert line is not None
+    assert first < int(line[1]) <= first + 3
+
+
+def test_one_that_ends_its_process_is_told_without_a_traceback(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["compare", LOST, "--planner", named(leaves)]) == Exit.INVALID
+    said = capsys.readouterr()
+    assert f"{named(leaves)} crashed: exit code 2\n" in said.out
+    assert "--traceback" not in said.err
+
+
+@pytest.mark.parametrize("name", ["./own.py:plan", ".own:plan", "..:plan", "a b:plan", "own.:plan", ":plan", "own:"])
+def test_a_name_that_is_no_module_and_function_is_refused(name: str) -> None:
+    problem = cfgplan.match(cfgplan.load(LOST))
+    with pytest.raises(InputError, match=f"planner '{re.escape(name)}' can't be used: "):
+        cfgplan.plan(problem, planner=name)
+
+
+@pytest.mark.parametrize(
+    ("name", "mend"),
+    [
+        ("greedy.py:plan", "write greedy:plan: a module has no ending"),
+        ("planners/greedy.py:best", "write greedy:best, in the folder planners: a module has no ending"),
+    ],
+)
+def test_a_file_in_place_of_a_module_is_told_how_it_is_named(name: str, mend: str) -> None:
+    problem = cfgplan.match(cfgplan.load(LOST))
+    with pytest.raises(InputError) as caught:
+        cfgplan.plan(problem, planner=name)
+    assert caught.value.faults[0].mend == mend
 
 
 def test_what_the_judge_refuses_is_in_no_proof_no_time_and_no_plot(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from made_rows import row
 from cfgplan.comparing import REGISTERED, Limits, RunFailure
 from cfgplan.comparing.runs import thinned
 from cfgplan.planning import Status
-from experiments.study.invariants import breaches, gap, references
+from experiments.study.invariants import breaches, failures, gap, references
 from experiments.study.plots import LEAST_GAP, anytime, gap_profile, performance_profile, styles
 from experiments.study.report import by_family, detail, effort, overview, ratio_to, write_report
 from experiments.study.rows import Row
@@ -38,6 +38,19 @@ def test_planners_that_agree_breach_nothing() -> None:
 )
 def test_each_contradiction_is_found(rows: list[Row], says: str) -> None:
     assert any(says in text for text in breaches(rows))
+
+
+def test_a_planner_without_answers_is_told_once_with_the_reason() -> None:
+    rows = [
+        row("fine", 10, 1.0),
+        row("lost", None, outcome=RunFailure.UNAVAILABLE, message="No module named 'lost'"),
+        row("lost", None, outcome=RunFailure.UNAVAILABLE, message="No module named 'lost'"),
+        row("broken", None, outcome=RunFailure.CRASHED, message="KeyError: 'x' (broken.py, line 3)"),
+    ]
+    assert failures(rows) == [
+        "broken: crashed at it: KeyError: 'x' (broken.py, line 3)",
+        "lost: unavailable at it: No module named 'lost'",
+    ]
 
 
 def test_a_plan_that_the_judge_refuses_is_no_reference() -> None:

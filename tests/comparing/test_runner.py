@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from cfgplan.comparing import Entrant, Limits, RunFailure, entrant
+from cfgplan.comparing import Entrant, Limits, RunFailure, entrant, runs
 from cfgplan.comparing.runs import pickled
 from cfgplan.errors import InputError, InvalidValueError
 from cfgplan.planners import PLANNERS
@@ -118,6 +118,32 @@ def test_a_planner_that_hangs_is_killed_and_what_it_had_found_is_kept() -> None:
     row = run_one(SMALL, own("hangs"), Limits(time_limit_s=0.5, grace_s=4))
     assert (row.outcome, row.cost_us, row.bound_us) == (RunFailure.KILLED, 9, 4)
     assert row.violations is None
+
+
+IMPORTED_SLOWLY = """
+import time
+
+from cfgplan.planning import Plan, Status
+
+time.sleep(3)
+
+
+def plan(problem, **_):
+    return Plan("imported slowly", Status.UNKNOWN)
+"""
+
+
+@pytest.mark.parametrize(("start_s", "outcome"), [(60.0, Status.UNKNOWN), (0.5, RunFailure.CRASHED)])
+def test_the_time_of_imports_is_no_time_of_the_planner(
+    start_s: float, outcome: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "imported_slowly.py").write_text(IMPORTED_SLOWLY)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(runs, "START_S", start_s)
+    # A planner that is called has the time limit; these imports take longer than it.
+    row = run_one(SMALL, entrant("imported_slowly:plan"), Limits(time_limit_s=0.5, grace_s=2))
+    assert row.outcome == outcome
+    assert ("its modules were not imported within 0.5 s" in row.message) == (outcome == RunFailure.CRASHED)
 
 
 def test_a_short_run_is_repeated_and_the_median_one_is_told() -> None:

@@ -24,6 +24,7 @@ from simulated_life import RESULT, source, worker
 
 from cfgplan import api
 from cfgplan.domain import ChangeSet, Environment, RunOptions, Target, Transformation
+from cfgplan.errors import InvalidValueError
 from cfgplan.planners import PLANNERS
 from cfgplan.transformations import ProgramFormat
 
@@ -262,6 +263,19 @@ def test_every_part_can_be_replaced() -> None:
     manager.run(20)  # the horizon: 500 us/s were observed of work, 300 are guessed of the other
     assert set(robot.loaded) == {"count.1", "work_unknown.1"}
     assert manager.snapshot().reviews[-1].cost_us == 60 * (300 + 100)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"world": WORLD.environment}, "world must be a World, but is an Environment"),
+        ({"planner": "cpsat"}, "planner must be a function or None, but is 'cpsat'"),
+        ({"policy": 3}, "policy must be a Policy or None, but is 3"),
+    ],
+)
+def test_a_part_of_another_kind_is_refused_at_once(wrong: dict[str, Any], said: str) -> None:
+    with SimulatedRuntime() as runtime, pytest.raises(InvalidValueError, match=rf"Manager\(\): {said}"):
+        Manager(**{"world": WORLD, "middleware": runtime, **wrong})
 
 
 def test_a_middleware_that_refuses_once_is_asked_again() -> None:

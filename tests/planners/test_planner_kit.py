@@ -5,7 +5,10 @@ A mutant is a planner that is right but for one thing. Yours is checked in the s
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
@@ -376,3 +379,23 @@ def test_a_planner_that_refuses_what_it_does_not_know_keeps_its_promises() -> No
         return right(problem, time_limit_s, report)
 
     assert check_planner(plain, is_exact=True).answers["refused"] > 50
+
+
+def test_pytest_shows_no_line_of_cfgplan_for_a_planner_that_breaks_a_promise(tmp_path: Path) -> None:
+    (tmp_path / "test_own.py").write_text(
+        "from cfgplan import Plan, Status\n"
+        "from cfgplan.testing import check_planner\n\n\n"
+        "def plan(problem, **_):\n"
+        "    return Plan('own', Status.INFEASIBLE)\n\n\n"
+        "def test_plan():\n"
+        "    check_planner(plan, number=1)\n"
+    )
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(tmp_path)]
+    folders = os.pathsep.join(entry or str(Path.cwd()) for entry in sys.path)
+    done = subprocess.run(
+        command, cwd=tmp_path, env={**os.environ, "PYTHONPATH": folders}, capture_output=True, text=True
+    )
+    assert "the planner breaks promises" in done.stdout
+    assert "test_own.py:10: AssertionError" in done.stdout
+    assert "testing.py" not in done.stdout
+    assert "arguments.py" not in done.stdout

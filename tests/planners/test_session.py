@@ -206,7 +206,7 @@ def test_ctrl_c_during_the_solving_ends_with_the_best_plan_so_far() -> None:
 
 
 def interrupted_while_it_solves() -> None:
-    problem = hard_problem()
+    problem, stop = hard_problem(), Event()
     bounds: list[int] = []
 
     def interrupt(progress: Progress) -> None:
@@ -215,8 +215,9 @@ def interrupted_while_it_solves() -> None:
             bounds.append(-1)
             os.kill(os.getpid(), signal.SIGINT)
 
-    found = plan(problem, time_limit_s=60, report=interrupt)
+    found = plan(problem, time_limit_s=60, report=interrupt, stop=stop)
     assert -1 in bounds
+    assert stop.is_set(), "the caller learns of it"
     assert found.status is Status.FEASIBLE
     assert plan_violations(problem, found) == []
 

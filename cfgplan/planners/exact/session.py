@@ -9,9 +9,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from numbers import Real
 from threading import Event
 from typing import Final
 
+from cfgplan.arguments import unsuitable
 from cfgplan.domain import Environment
 from cfgplan.planners.exact.candidates import ONLY_IN_THE_MODEL, Candidates
 from cfgplan.planners.exact.configuration import wire
@@ -53,10 +55,15 @@ class PlannerSession:
         report: OnProgress | None = None,
         stop: Event | None = None,
     ) -> Plan:
-        """The optimal update. Stopped by the clock, by `stop` or by Ctrl-C it is the best one so far.
+        """Return the optimal update. Stopped by the clock, by `stop` or by Ctrl-C it is the best one so far.
 
-        If the time limit leaves no plan, a first one is looked for, as long as `Clock.for_a_first_plan` lasts.
+        Ctrl-C sets `stop`; a second one raises KeyboardInterrupt. If the time limit leaves no plan, a first one is
+        looked for, as long as `Clock.for_a_first_plan` lasts.
         """
+        if not isinstance(problem, Problem):
+            raise unsuitable("plan()", "problem", "a Problem", problem)
+        if not (time_limit_s is None or (isinstance(time_limit_s, Real) and time_limit_s >= 0)):
+            raise unsuitable("plan()", "time_limit_s", "a number of 0 or more or None", time_limit_s)
         if problem.similarity.open:
             return Deciding(partial(self.plan, stop=stop))(problem, time_limit_s=time_limit_s, report=report)
         clock = Clock(time_limit_s, stop, self._tuning)

@@ -16,6 +16,7 @@ from dataclasses import replace
 from math import inf
 
 from cfgplan.api import World
+from cfgplan.arguments import unsuitable
 from cfgplan.domain import Environment, Statement
 from cfgplan.errors import Fault, InputError
 from cfgplan.facts import FactValue
@@ -72,8 +73,8 @@ class Manager:
     `world` is what is wanted at first, and `policy` how reviews are made. By default `planner` reuses proofs of earlier
     plans, `estimator` uses declared costs, and `clock` is the computer's. `report` is the first listener, see `listen`.
     The first review carries out the plan of `first`, unless it is stale by then. Raises InputError for a world whose
-    tags can't be matched. As a context manager it works in a thread of its own, and stops all units at the end; or call
-    `step` or `run`.
+    tags can't be matched, InvalidValueError for a `world`, `planner` or `policy` of another kind. As a context manager
+    it works in a thread of its own, and stops all units at the end; or call `step` or `run`.
     """
 
     def __init__(
@@ -88,6 +89,12 @@ class Manager:
         report: Callable[[Report], None] | None = None,
         first: Preview | None = None,
     ) -> None:
+        if not isinstance(world, World):
+            raise unsuitable("Manager()", "world", "a World", world)
+        if not (planner is None or callable(planner)):
+            raise unsuitable("Manager()", "planner", "a function or None", planner)
+        if not (policy is None or isinstance(policy, Policy)):
+            raise unsuitable("Manager()", "policy", "a Policy or None", policy)
         self._middleware = middleware
         self._clock = clock or SystemClock()
         self._estimator = GuardedEstimator(estimator or DeclaredCosts())

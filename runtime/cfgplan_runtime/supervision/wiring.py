@@ -111,7 +111,7 @@ class Wiring:
 
 
 def wanted_feeds(environment: Environment, present: Mapping[Inlet, Stream] | None = None) -> Mapping[Inlet, Stream]:
-    """The stream that should feed each inlet, including the topics' outlets.
+    """Return the stream that should feed each inlet, including the topics' outlets.
 
     If an input takes several streams, streams that feed it in `present` keep their inlets. A new one takes the inlet of
     one that ends, as its successor, or else a free one.
