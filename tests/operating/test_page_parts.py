@@ -57,6 +57,7 @@ def test_it_names_the_first_unmet_target_by_priority_with_its_reason() -> None:
     [
         ({"lost_hosts": ("roof",)}, "host roof is gone"),
         ({"backing_off": (BackingOff("a", 3, 4.0, "exited with 3"),)}, "a waits to be started again: exited with 3"),
+        ({"old_code": {"units.py": ("a.1", "b.1")}}, "a.1, b.1 run with the code from before units.py changed"),
         ({"faults": (Fault("this is not YAML"),)}, "the file has an error: this is not YAML"),
     ],
 )

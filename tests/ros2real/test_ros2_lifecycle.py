@@ -124,20 +124,20 @@ def test_the_first_message_of_a_source_comes_since_it_is_activated_last(
 
 @pytest.mark.parametrize("transition", ["configure", "activate"])
 @pytest.mark.parametrize(
-    ("how", "cause"),
+    ("how", "end"),
     [
-        ("refuse", "/worse_1 could not be {verb}; its state is {state}"),
-        ("raise", "/worse_1 could not be {verb}; its state is unconfigured"),
-        ("die", "ended with exit status 3"),
+        ("refuse", "refused a transition: /worse_1 could not be {verb}; its state is {state}"),
+        ("raise", "refused a transition: /worse_1 could not be {verb}; its state is unconfigured"),
+        ("die", "died: ended with exit status 3"),
     ],
 )
 def test_an_update_is_undone_with_its_cause_if_the_new_node_fails_in_a_transition(
-    transition: str, how: str, cause: str, runtime: Runtime, observer: Observer, told: list[tuple[str, str]]
+    transition: str, how: str, end: str, runtime: Runtime, observer: Observer, told: list[tuple[str, str]]
 ) -> None:
     ticks = begin(runtime, observer)
     verb, state = {"configure": ("configured", "unconfigured"), "activate": ("activated", "inactive")}[transition]
     worse = replace(KEEPER, label="worse", params={transition: how})
-    with pytest.raises(ApplyError, match=re.escape(f"worse.1 died: {cause.format(verb=verb, state=state)}")):
+    with pytest.raises(ApplyError, match=re.escape(f"worse.1 {end.format(verb=verb, state=state)}")):
         runtime.apply(replacement("worse.1", worse))
     assert_whole(ticks)
     assert ("keeper.1", "deactivate") not in told
