@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import queue
 import re
+import subprocess
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -12,9 +13,10 @@ from itertools import islice
 import psutil
 import pytest
 from cfgplan_runtime import ApplyError, Runtime
-from cfgplan_runtime.supervision.events import Event, OutletsOpened, UnitPrinted, UnitReady, UnitStopped
+from cfgplan_runtime.supervision.events import Event, OutletsOpened, UnitHung, UnitPrinted, UnitReady, UnitStopped
 from operated_world import PATIENCE_S, eventually
-from ros2_words import POINT, Observer, command_of
+from ros2_venv import PYTHON
+from ros2_words import NODES, POINT, Observer, command_of
 
 from cfgplan.domain import (
     ChangeSet,
@@ -22,6 +24,7 @@ from cfgplan.domain import (
     InputPort,
     OutputPort,
     Publication,
+    RunOptions,
     Stream,
     Subscription,
     Target,
@@ -209,6 +212,44 @@ def test_a_new_node_of_an_undone_update_stays_inactive_until_the_next_one(
     runtime.apply(ChangeSet(rewired=(keeper("keeper.2"),), stopped=("keeper.1",)))
     assert_whole(ticks)
     assert said("configure") == 1
+
+
+def test_a_node_that_hangs_after_its_activation_was_taken_back_is_killed(runtime: Runtime, observer: Observer) -> None:
+    """It has answered while the other node started. It is told to be inactive while it is being activated, then it
+    hangs in the next transition.
+    """
+    hung: queue.SimpleQueue[str] = queue.SimpleQueue()
+    runtime.listen(lambda event: hung.put(event.unit) if isinstance(event, UnitHung) else None)
+    begin(runtime, observer)
+    stuck = replace(
+        KEEPER, label="stuck", params={"activate": "1.5", "deactivate": "60.0"}, run=RunOptions(hang_us=3_000_000)
+    )
+    worse = replace(KEEPER, label="worse", params={"activate": "refuse", "late": 5.0})
+    started = (keeper("stuck.1"), ComputationUnit("worse.1", "worse"))
+    with pytest.raises(ApplyError, match="worse"):
+        change_set = ChangeSet(started, stopped=("keeper.1",), added_transformations=(stuck, worse))
+        runtime.apply(change_set, keeps_new=True)
+    assert hung.get(timeout=PATIENCE_S) == "stuck.1"
+
+
+def test_a_node_of_others_with_the_name_of_a_new_lifecycle_node_gets_no_request(
+    runtime: Runtime, observer: Observer
+) -> None:
+    """The new node is refused; once the other one has ended, another new node starts."""
+    command = [str(PYTHON), str(NODES.with_name("managed_nodes.py")), "keeper", "--ros-args", "-r", "__node:=keeper_2"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as other:
+        try:
+            eventually(lambda: "/keeper_2" in observer.look()["nodes"])
+            ticks = begin(runtime, observer)
+            with pytest.raises(ApplyError, match=r"keeper\.2 could not start: another node is called /keeper_2"):
+                runtime.apply(replacement("keeper.2"))
+            assert_whole(ticks)
+        finally:
+            other.kill()
+        assert other.stdout is not None
+        assert other.stdout.read() == ""
+    runtime.apply(replacement("keeper.2"))
+    assert_whole(ticks)
 
 
 def test_a_new_helper_leaves_active_nodes_active_and_replaces_them(

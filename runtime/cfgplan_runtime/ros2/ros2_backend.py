@@ -31,6 +31,7 @@ from cfgplan_runtime.ros2.host_messages import (
     FromHost,
     Gone,
     Loaded,
+    NameTaken,
     StateChanged,
     Tapped,
     Told,
@@ -73,8 +74,8 @@ class _UnitNode:
     is_activating: bool = False
     is_deactivating: bool = False
     """Whether it is deactivated before it ends."""
-    refusal: str = ""
-    """The transition that it has refused, for which it is killed."""
+    verdict: tuple[str, events.End] | None = None
+    """The cause for which it is killed, and how that is told."""
 
 
 class Ros2Backend:
@@ -233,7 +234,6 @@ class Ros2Backend:
         node = self._nodes.get(unit)
         if node is None:
             return False
-        node.is_activating = node.has_life
         self._change_state(node, is_active=True)
         return node.has_life
 
@@ -329,11 +329,11 @@ class Ros2Backend:
     def _attend_all(self) -> None:
         for node in self._nodes.values():
             node.has_answered = node.is_configured = False
-            self._attend(node)
+            self._attend(node, is_started=True)
             if node.unit in self._containers:
                 self._containers.tell_again(node.unit)
 
-    def _attend(self, node: _UnitNode) -> None:
+    def _attend(self, node: _UnitNode, *, is_started: bool = False) -> None:
         ros, run = node.ros, node.ros.transformation.run
         self._wires.tell(
             Attend(
@@ -348,6 +348,7 @@ class Ros2Backend:
                 is_watched=ros.source.kind == "component",
                 has_clock=SIM_TIME in ros.parameters,
                 is_active=node.is_active,
+                is_started=is_started,
             )
         )
 
@@ -370,6 +371,10 @@ class Ros2Backend:
                 self._containers.note_unloaded(unit, is_done=is_done)
             case Failed(unit, cause) if unit in self._nodes:
                 self._note_failure(self._nodes[unit], cause)
+            case NameTaken(unit) if unit in self._nodes:
+                node = self._nodes[unit]
+                node.verdict = f"another node is called {node.ros.name}: end it, or rename it", "could not start"
+                self.kill(unit)
             case Answered(unit) if unit in self._nodes:
                 self._nodes[unit].has_answered = True
                 if self._nodes[unit].is_ready:
@@ -393,6 +398,7 @@ class Ros2Backend:
 
     def _change_state(self, node: _UnitNode, *, is_active: bool) -> None:
         node.is_active = is_active
+        node.is_activating = is_active and node.has_life
         self._wires.tell(ChangeState(node.unit, is_active))
 
     def _note_state(self, node: _UnitNode, *, is_active: bool) -> None:
@@ -411,7 +417,7 @@ class Ros2Backend:
         if node.unit in self._containers and not self._containers.is_loaded(node.unit):
             self._remove_dead(node, cause, "could not start")
         else:
-            node.refusal = cause
+            node.verdict = cause, "refused a transition"
             self.kill(node.unit)
 
     def _status(self, node: _UnitNode) -> events.UnitStatus:
@@ -506,7 +512,7 @@ class Ros2Backend:
         if node is None or node.process is not process:
             self._warm.lose(owner, cause)
             return
-        if not node.is_ready and not node.is_stopping and not node.is_spare:
+        if not (node.is_ready or node.is_stopping or node.is_spare or node.verdict):
             (self._warm.refuse if node.was_warm else self._unnumbered.add)(node.ros.transformation.label)
         self._remove_dead(node, cause)
 
@@ -526,8 +532,8 @@ class Ros2Backend:
 
     def _remove_dead(self, node: _UnitNode, cause: str, how: events.End = "died") -> None:
         """Forget a node that has ended or was given up."""
-        if node.refusal:
-            cause, how = node.refusal, "refused a transition"
+        if node.verdict is not None:
+            cause, how = node.verdict
         del self._nodes[node.unit]
         self._warnings.forget(node.unit)
         self._wires.close_inlets(node.unit)

@@ -59,6 +59,10 @@ class AttendedNode:
     missed: int = 0
     client: Any = None
     is_asked: bool = False
+    strangers: int = 0
+    """How many other nodes of its full name the graph had before it was started, and still has."""
+    namesakes: int = 0
+    """How many nodes of its full name the graph had at the last look."""
 
 
 class Attendance:
@@ -91,6 +95,8 @@ class Attendance:
         node.waits, node.is_watched = order["waits"], order["is_watched"] or order["is_foreign"]
         node.goal = ACTIVE if order["is_active"] else INACTIVE
         self._nodes[node.unit] = node
+        if not (node.is_foreign or order["is_started"]):
+            node.strangers = node.namesakes = self._living_namesakes(node.name)
         if not node.is_foreign:
             for port in (one for one in outputs if _is_topic(one)):
                 topic = node.unit, port["topic"], port["key"], port["message"]
@@ -165,7 +171,7 @@ class Attendance:
         missing = self._missing(node)
         if node.seen_s is None and (node.gids or self._has_name(node)):
             node.seen_s = time.monotonic()
-        if node.seen_s is None:
+        if node.seen_s is None or self._has_rival(node):
             return
         self._find_life(node)
         is_configured = node.life is not None and node.goal == INACTIVE
@@ -185,11 +191,27 @@ class Attendance:
         if node.life is None and f"{node.name}/change_state" in self._services():
             node.life = Lifecycle(self._host, node.name, lambda: self._note_state(node))
 
+    def _has_rival(self, node: AttendedNode) -> bool:
+        """Whether requests to change a node's state may go to another node of its name, which was there before. If that
+        does not vanish, as one that has died does, the node is reported, and gets no request.
+        """
+        if not node.strangers:
+            return False
+        now = self._living_namesakes(node.name)
+        node.strangers = max(0, node.strangers - max(0, node.namesakes - now))
+        node.namesakes = now
+        if not node.strangers or f"{node.name}/change_state" not in self._services():
+            return False
+        if time.monotonic() - node.begun_s > _GHOST_S:
+            node.is_ready = True
+            self._host.say("NameTaken", unit=node.unit)
+        return True
+
     def _find_late_life(self, node: AttendedNode) -> None:
         """Lead a node that was taken for one without a lifecycle: a busy computer makes the node and then its services,
         and a node that lacks ports is not waited for.
         """
-        if node.is_ready and node.life is None:
+        if node.is_ready and node.life is None and not self._has_rival(node):
             self._find_life(node)
             if node.life is not None:
                 node.is_ready = node.is_attended = False
@@ -198,10 +220,13 @@ class Attendance:
     def _has_come(self, node: AttendedNode, life: Lifecycle) -> bool:
         """Lead a lifecycle node to its goal. Returns whether it has reached it, and must have its ports now.
 
-        A node that has activated itself is deactivated only if it was reported before.
+        If the goal was changed during a step, the node is led back once the step is done. A node that has activated
+        itself is deactivated only if it was reported before.
         """
         if life.cause:
             self._fail(node, life.cause)
+        elif life.is_changing:
+            return False
         elif life.state != node.goal and (life.state != ACTIVE or node.is_attended):
             life.go(node.goal)
         elif node.waits:
@@ -228,7 +253,7 @@ class Attendance:
 
     def _has_name(self, node: AttendedNode) -> bool:
         """Whether the graph has a node of this name that is not one that has died."""
-        return self._namesakes(node.name) > (time.monotonic() < self._ghosts.get(node.name, 0.0))
+        return self._living_namesakes(node.name) > 0
 
     def _missing(self, node: AttendedNode) -> list[str]:
         """The topics of ports that the node does not have yet, or that have not matched. Its `gids` are found too."""
@@ -261,6 +286,10 @@ class Attendance:
         """How many nodes of a full name the graph has: one that has died stays in it for a while."""
         found = self._host.node.get_node_names_and_namespaces()
         return sum(f"{namespace.rstrip('/')}/{own}" == name for own, namespace in found)
+
+    def _living_namesakes(self, name: str) -> int:
+        """How many nodes of a full name the graph has, without one of the run's that has died."""
+        return max(0, self._namesakes(name) - (time.monotonic() < self._ghosts.get(name, 0.0)))
 
     def _look_for_foreign(self, node: AttendedNode) -> None:
         if self._namesakes(node.name):
@@ -298,8 +327,8 @@ class Attendance:
             self._host.say("Told", unit=node.unit, text=f"{text} (write false to be told no more)")
         number = self._namesakes(node.name)
         if number > 1 and node.name not in self._ghosts:
-            mend = "name the other one in `source`: `--ros-args -r OWN_NAME:__node:=OTHER_NAME --`"
-            self._host.say("Told", unit=node.unit, text=f"{number} nodes of its process are called {node.name}: {mend}")
+            mend = "end the other one, or name it in `source`: `--ros-args -r OWN_NAME:__node:=OTHER_NAME --`"
+            self._host.say("Told", unit=node.unit, text=f"{number} nodes are called {node.name}: {mend}")
         missing = sorted(set(self._missing(node)) & {port["topic"] for port in node.outputs})
         if missing:
             text = f"{node.name} does not publish {', '.join(missing)}: what is it called in its code (`remap`)?"
