@@ -167,7 +167,7 @@ class Manager:
         self._put(Unusable(by, faults))
 
     def note_old_code(self, file: str, units: tuple[str, ...]) -> None:
-        """Report that these units run with another code than the one in `file` now; without any, that none does any
+        """Report that these `units` run with another code than the one in `file` now; without any, that none does any
         more.
         """
         self._put(OldCode(file, units))
