@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import queue
 import re
-import subprocess
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -15,8 +14,7 @@ import pytest
 from cfgplan_runtime import ApplyError, Runtime
 from cfgplan_runtime.supervision.events import Event, OutletsOpened, UnitHung, UnitPrinted, UnitReady, UnitStopped
 from operated_world import PATIENCE_S, eventually
-from ros2_venv import PYTHON
-from ros2_words import NODES, POINT, Observer, command_of
+from ros2_words import POINT, Observer, command_of
 
 from cfgplan.domain import (
     ChangeSet,
@@ -230,26 +228,6 @@ def test_a_node_that_hangs_after_its_activation_was_taken_back_is_killed(runtime
         change_set = ChangeSet(started, stopped=("keeper.1",), added_transformations=(stuck, worse))
         runtime.apply(change_set, keeps_new=True)
     assert hung.get(timeout=PATIENCE_S) == "stuck.1"
-
-
-def test_a_node_of_others_with_the_name_of_a_new_lifecycle_node_gets_no_request(
-    runtime: Runtime, observer: Observer
-) -> None:
-    """The new node is refused; once the other one has ended, another new node starts."""
-    command = [str(PYTHON), str(NODES.with_name("managed_nodes.py")), "keeper", "--ros-args", "-r", "__node:=keeper_2"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as other:
-        try:
-            eventually(lambda: "/keeper_2" in observer.look()["nodes"])
-            ticks = begin(runtime, observer)
-            with pytest.raises(ApplyError, match=r"keeper\.2 could not start: another node is called /keeper_2"):
-                runtime.apply(replacement("keeper.2"))
-            assert_whole(ticks)
-        finally:
-            other.kill()
-        assert other.stdout is not None
-        assert other.stdout.read() == ""
-    runtime.apply(replacement("keeper.2"))
-    assert_whole(ticks)
 
 
 def test_a_new_helper_leaves_active_nodes_active_and_replaces_them(

@@ -29,7 +29,7 @@ class Attend(msgspec.Struct, tag=True):
     With `waits` it is a cold spare of a lifecycle node, which is only configured. With `asks` the helper calls the node
     each second and reports its answers. With `is_watched` the helper reports when the node has left the graph. With
     `has_clock` the node's parameters say which clock it goes by. A lifecycle node is configured; with `is_active` it
-    was activated before, and becomes active again. With `is_started` its process runs already.
+    was activated before, and becomes active again.
     """
 
     unit: str
@@ -43,7 +43,6 @@ class Attend(msgspec.Struct, tag=True):
     is_watched: bool = False
     has_clock: bool = False
     is_active: bool = False
-    is_started: bool = False
 
 
 class Load(msgspec.Struct, tag=True):
@@ -129,12 +128,6 @@ class Failed(msgspec.Struct, tag=True):
     cause: str
 
 
-class NameTaken(msgspec.Struct, tag=True):
-    """A node that was not started by the run had a lifecycle node's full name before, and is still there."""
-
-    unit: str
-
-
 class ContainerFound(msgspec.Struct, tag=True):
     """Whether a foreign container has this name."""
 
@@ -193,7 +186,6 @@ FromHost: TypeAlias = (
     | StateChanged
     | Configured
     | Failed
-    | NameTaken
     | ContainerFound
     | Loaded
     | Unloaded

@@ -31,7 +31,6 @@ from cfgplan_runtime.ros2.host_messages import (
     FromHost,
     Gone,
     Loaded,
-    NameTaken,
     StateChanged,
     Tapped,
     Told,
@@ -329,11 +328,11 @@ class Ros2Backend:
     def _attend_all(self) -> None:
         for node in self._nodes.values():
             node.has_answered = node.is_configured = False
-            self._attend(node, is_started=True)
+            self._attend(node)
             if node.unit in self._containers:
                 self._containers.tell_again(node.unit)
 
-    def _attend(self, node: _UnitNode, *, is_started: bool = False) -> None:
+    def _attend(self, node: _UnitNode) -> None:
         ros, run = node.ros, node.ros.transformation.run
         self._wires.tell(
             Attend(
@@ -348,7 +347,6 @@ class Ros2Backend:
                 is_watched=ros.source.kind == "component",
                 has_clock=SIM_TIME in ros.parameters,
                 is_active=node.is_active,
-                is_started=is_started,
             )
         )
 
@@ -371,10 +369,6 @@ class Ros2Backend:
                 self._containers.note_unloaded(unit, is_done=is_done)
             case Failed(unit, cause) if unit in self._nodes:
                 self._note_failure(self._nodes[unit], cause)
-            case NameTaken(unit) if unit in self._nodes:
-                node = self._nodes[unit]
-                node.verdict = f"another node is called {node.ros.name}: end it, or rename it", "could not start"
-                self.kill(unit)
             case Answered(unit) if unit in self._nodes:
                 self._nodes[unit].has_answered = True
                 if self._nodes[unit].is_ready:

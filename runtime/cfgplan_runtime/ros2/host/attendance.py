@@ -59,10 +59,6 @@ class AttendedNode:
     missed: int = 0
     client: Any = None
     is_asked: bool = False
-    strangers: int = 0
-    """How many other nodes of its full name the graph had before it was started, and still has."""
-    namesakes: int = 0
-    """How many nodes of its full name the graph had at the last look."""
 
 
 class Attendance:
@@ -95,8 +91,6 @@ class Attendance:
         node.waits, node.is_watched = order["waits"], order["is_watched"] or order["is_foreign"]
         node.goal = ACTIVE if order["is_active"] else INACTIVE
         self._nodes[node.unit] = node
-        if not (node.is_foreign or order["is_started"]):
-            node.strangers = node.namesakes = self._living_namesakes(node.name)
         if not node.is_foreign:
             for port in (one for one in outputs if _is_topic(one)):
                 topic = node.unit, port["topic"], port["key"], port["message"]
@@ -171,7 +165,7 @@ class Attendance:
         missing = self._missing(node)
         if node.seen_s is None and (node.gids or self._has_name(node)):
             node.seen_s = time.monotonic()
-        if node.seen_s is None or self._has_rival(node):
+        if node.seen_s is None:
             return
         self._find_life(node)
         is_configured = node.life is not None and node.goal == INACTIVE
@@ -191,27 +185,11 @@ class Attendance:
         if node.life is None and f"{node.name}/change_state" in self._services():
             node.life = Lifecycle(self._host, node.name, lambda: self._note_state(node))
 
-    def _has_rival(self, node: AttendedNode) -> bool:
-        """Whether requests to change a node's state may go to another node of its name, which was there before. If that
-        does not vanish, as one that has died does, the node is reported, and gets no request.
-        """
-        if not node.strangers:
-            return False
-        now = self._living_namesakes(node.name)
-        node.strangers = max(0, node.strangers - max(0, node.namesakes - now))
-        node.namesakes = now
-        if not node.strangers or f"{node.name}/change_state" not in self._services():
-            return False
-        if time.monotonic() - node.begun_s > _GHOST_S:
-            node.is_ready = True
-            self._host.say("NameTaken", unit=node.unit)
-        return True
-
     def _find_late_life(self, node: AttendedNode) -> None:
         """Lead a node that was taken for one without a lifecycle: a busy computer makes the node and then its services,
         and a node that lacks ports is not waited for.
         """
-        if node.is_ready and node.life is None and not self._has_rival(node):
+        if node.is_ready and node.life is None:
             self._find_life(node)
             if node.life is not None:
                 node.is_ready = node.is_attended = False
@@ -253,7 +231,7 @@ class Attendance:
 
     def _has_name(self, node: AttendedNode) -> bool:
         """Whether the graph has a node of this name that is not one that has died."""
-        return self._living_namesakes(node.name) > 0
+        return self._namesakes(node.name) > (time.monotonic() < self._ghosts.get(node.name, 0.0))
 
     def _missing(self, node: AttendedNode) -> list[str]:
         """The topics of ports that the node does not have yet, or that have not matched. Its `gids` are found too."""
@@ -286,10 +264,6 @@ class Attendance:
         """How many nodes of a full name the graph has: one that has died stays in it for a while."""
         found = self._host.node.get_node_names_and_namespaces()
         return sum(f"{namespace.rstrip('/')}/{own}" == name for own, namespace in found)
-
-    def _living_namesakes(self, name: str) -> int:
-        """How many nodes of a full name the graph has, without one of the run's that has died."""
-        return max(0, self._namesakes(name) - (time.monotonic() < self._ghosts.get(name, 0.0)))
 
     def _look_for_foreign(self, node: AttendedNode) -> None:
         if self._namesakes(node.name):
