@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from cfgplan.user_folders import user_folder
+
 MOST_FILES: Final = 1000
 """The number of files that are kept in each part of the folder; the oldest are dropped first."""
 MOST_BYTES: Final = 256_000_000
@@ -23,9 +25,8 @@ MOST_BYTES: Final = 256_000_000
 
 def cache_folder() -> Path | None:
     """`$XDG_CACHE_HOME/cfgplan`, or `~/.cache/cfgplan`; None for a user without a home."""
-    base = os.environ.get("XDG_CACHE_HOME")
     try:
-        return (Path(base) if base else Path.home() / ".cache") / "cfgplan"
+        return (user_folder("XDG_CACHE_HOME") or Path.home() / ".cache") / "cfgplan"
     except RuntimeError:
         return None
 

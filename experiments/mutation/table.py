@@ -801,7 +801,8 @@ LIFECYCLE = _room(
         "transition.state.situation.without(*gone)), failed",
         "transition.state.situation), failed",
     ),
-    ("a killed unit is blamed", "intake.py", "is_blameless = is_killed or", "is_blameless ="),
+    ("a killed unit is blamed", "intake.py", "is_ours = is_killed or", "is_ours ="),
+    ("a unit that was given up is blamed", "intake.py", 'how == "was given up" or', "False or"),
     (
         "what a unit has done counts for the next of its id",
         "intake.py",

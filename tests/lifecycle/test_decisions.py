@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from concurrent.futures import Future
 from dataclasses import replace
 from math import inf
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import pytest
 from cfgplan_runtime import ApplyError, Policy, StaleChangeSetError
@@ -77,6 +77,7 @@ from cfgplan_runtime.lifecycle.worlds import WorldVersion
 from cfgplan_runtime.supervision.backend import Failures
 from cfgplan_runtime.supervision.events import (
     ClockMoved,
+    End,
     FailuresKept,
     HostJoined,
     HostLost,
@@ -106,6 +107,7 @@ from cfgplan.errors import Fault, InputError
 E = TypeVar("E")
 LIBRARY = (source(), worker(host="far"))
 DIGEST = order_digest(LIBRARY[1])
+ENDS: tuple[End, ...] = get_args(End)
 POLICY = Policy(gather_s=0.0, explain_s=0.02, retry_s=0.1, most_loss_s=1.0)
 COUNT = ComputationUnit("count.1", "count")
 WORK = ComputationUnit("work.1", "work", (Subscription("x", Stream("count.1", "n")),), (Publication("y", "/result"),))
@@ -211,6 +213,7 @@ def test_nothing_is_changed_in_place() -> None:
     [
         ([UnitDied("work.1", "crash")], UnitGone("work.1", "work", "died", "crash", "far"), 0.0),
         ([UnitHung("work.1", 9.0), UnitDied("work.1", "k")], UnitGone("work.1", "work", "hung", "k", "far"), 0.0),
+        *(([UnitDied("work.1", "k", how)], UnitGone("work.1", "work", how, "k", "far"), 0.0) for how in ENDS),
         (
             [UnitTooLarge("work.1", 9), UnitDied("work.1", "k")],
             UnitGone("work.1", "work", "too large", "k", "far"),
@@ -543,6 +546,15 @@ def test_an_update_that_fails_is_followed_by_another_review(
     assert found(effects, LearnOfFailure) == (
         [LearnOfFailure(Place("work", "far"))] if type(error) is ApplyError else []
     )
+
+
+@pytest.mark.parametrize("how", ENDS)
+def test_a_unit_that_was_given_up_though_its_process_may_live_is_blamed_on_nothing(how: End) -> None:
+    is_blamed = how != "was given up"
+    _, effects = after(stable(), 3.0, UnitDied("work.1", "the master is gone", how))
+    assert found(effects, LearnOfFailure) == [LearnOfFailure(Place("work", "far"))] * is_blamed
+    _, effects = after(after(updating(), 2.5, UnitDied("work.2", "k", how))[0], 3.0, Updated(0.1))
+    assert found(effects, LearnOfFailure) == [LearnOfFailure(Place("work", "far"))] * is_blamed
 
 
 def test_a_new_unit_that_dies_counts_once_however_its_update_ends() -> None:

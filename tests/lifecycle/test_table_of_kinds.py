@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import CodeType
+from typing import get_args
 
 import cfgplan_runtime
 import pytest
@@ -24,7 +25,7 @@ from cfgplan_runtime.lifecycle.reports import (
     UnitEvent,
     WorldRefused,
 )
-from cfgplan_runtime.supervision.events import SIGNS, Event, UnitDied, UnitPrinted, UnitReady
+from cfgplan_runtime.supervision.events import SIGNS, End, Event, UnitDied, UnitPrinted, UnitReady
 
 import cfgplan
 
@@ -126,6 +127,15 @@ def test_the_page_knows_no_kind_by_name() -> None:
 )
 def test_a_report_is_as_grave_as_it_says(report: Report, expected: Level) -> None:
     assert level(report) is expected
+
+
+@pytest.mark.parametrize("how", get_args(End))
+def test_a_unit_that_is_gone_has_ended_in_the_same_words_in_its_event_and_as_a_cause(how: End) -> None:
+    assert sentence(UnitEvent(UnitDied("camera.1", "no lens", how))) == f"camera.1 {how}: no lens"
+    because = KINDS[UnitGone].because
+    assert because is not None
+    assert because(UnitGone("camera.1", "camera", how, "no lens")) == f"camera.1 {how}"
+    assert level(Perturbed(UnitGone("camera.1", "camera", how, "no lens"))) is Level.ERROR
 
 
 def test_a_unit_that_is_gone_grows_two_metrics() -> None:

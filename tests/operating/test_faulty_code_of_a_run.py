@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-import shlex
 from pathlib import Path
 
 import pytest
-from cfgplan_runtime.lifecycle.changes import KillUnit, ReviewNow
+from cfgplan_runtime.lifecycle.changes import KillUnit, RestartUnits, ReviewNow
+from cfgplan_runtime.lifecycle.kinds import Level, level, sentence
 from cfgplan_runtime.lifecycle.perturbations import CodeChanged
 from cfgplan_runtime.lifecycle.policy import Policy
-from cfgplan_runtime.lifecycle.reports import Perturbed, Report, Reviewed, UnitEvent, WorldRefused
+from cfgplan_runtime.lifecycle.reports import OldCodeRuns, Perturbed, Report, Reviewed, UnitEvent, WorldRefused
 from cfgplan_runtime.operating.operation import Operation, Settings
 from cfgplan_runtime.operating.sources import Sources
 from cfgplan_runtime.supervision.events import UnitReady
@@ -114,9 +114,8 @@ def test_edited_code_is_advised_to_be_restarted_and_a_restart_uses_it(
     with running(env) as run:
         first = await_event(run, "Reviewed", decision="applied")["change_set"]["started"]
         (env.parent / "units.py").write_text(UNITS + "\n")
-        told = await_event(run, "Warning")["text"]
         unit = min(one["id"] for one in first)
-        assert f"`cfgplan ctl restart {shlex.quote(unit)}` replaces it by a new one" in told
+        assert unit in await_event(run, "OldCodeRuns", file="units.py")["units"]
         assert main(["ctl", "restart", unit]) == 0
         out = capsys.readouterr().out
         assert out.startswith("Done.\n")
@@ -124,7 +123,7 @@ def test_edited_code_is_advised_to_be_restarted_and_a_restart_uses_it(
         review = await_event(run, "Reviewed", decision="applied")
         assert (review["perturbations"][0]["kind"], review["change_set"]["stopped"]) == ("RestartAsked", [unit])
         (env.parent / "units.py").write_text(UNITS + "\nraise ValueError('no lens')\n")
-        await_event(run, "Warning")
+        await_event(run, "OldCodeRuns")
         assert main(["ctl", "restart", review["change_set"]["started"][0]["id"]]) == 30
         out = capsys.readouterr().out
         assert "no lens" in out
@@ -133,31 +132,72 @@ def test_edited_code_is_advised_to_be_restarted_and_a_restart_uses_it(
         assert "ValueError: no lens" in capsys.readouterr().out
 
 
+def test_a_warning_of_old_code_ends_when_the_code_is_changed_back_or_its_units_have_ended(env: Path) -> None:
+    """The state of the run, which the page shows, says so, too."""
+    with Operation(api.load(env), env, Settings()) as operation:
+        assert operation.begun.wait(PATIENCE_S)
+        manager, told = operation.manager, list[OldCodeRuns]()
+        manager.listen(lambda report: told.append(report) if isinstance(report, OldCodeRuns) else None)
+        units = tuple(sorted(unit.id for unit in operation.runtime.environment.units))
+
+        def eventually_old(expected: tuple[str, ...]) -> None:
+            eventually(lambda: bool(told) and tuple(sorted(told[-1].units)) == expected)
+            assert {file: tuple(sorted(ids)) for file, ids in manager.snapshot().old_code.items()} == (
+                {"units.py": expected} if expected else {}
+            )
+
+        file = env.with_name("units.py")
+        file.write_text(UNITS + "\n")
+        eventually_old(units)
+        assert "these units run with the code from before: " in str(sentence(told[-1]))
+        assert level(told[-1]) is Level.WARNING
+        file.write_text(UNITS)
+        eventually_old(())
+        assert sentence(told[-1]) == "units.py: no unit runs with the code from before any more"
+        assert level(told[-1]) is Level.INFORMATION
+        file.write_text(UNITS + "\n\n")
+        eventually_old(units)
+        for number, unit in enumerate(units, 1):
+            manager.request(RestartUnits((unit,), "me")).result(PATIENCE_S)
+            left = units[number:]
+            eventually(lambda left=left: set(manager.snapshot().old_code.get("units.py", ())) == set(left))
+        eventually_old(())
+        assert [len(one.units) for one in told] == [len(units), 0, len(units), 0]
+
+
 def test_code_that_is_as_it_was_again_is_no_other_code(tmp_path: Path) -> None:
     """A unit that has started in between has the other code."""
     file, code = tmp_path / "units.py", "def count():\n    yield 0\n"
     one = Transformation("count", outputs=(OutputPort("n", "N"),), source="units.py:count")
-    running, said = [ComputationUnit("count.1", "count")], list[str]()
+    running, said = [ComputationUnit("count.1", "count")], list[tuple[str, tuple[str, ...]]]()
     sources = Sources(
-        tmp_path, None, library=lambda: (one,), running=lambda: running, request=lambda _: None, tell=said.append
+        tmp_path,
+        None,
+        library=lambda: (one,),
+        running=lambda: running,
+        request=lambda _: None,
+        tell=lambda _: None,
+        tell_old=lambda file, units: said.append((file, units)),
     )
 
-    def units_with_other_code_than(text: str) -> str:
+    def units_with_other_code_than(text: str) -> tuple[str, ...] | None:
         said.clear()
         file.write_text(text)
         sources._hear(frozenset({file}))
-        return "".join(one.partition(" from before: ")[2].partition(";")[0] for one in said)
+        assert {name for name, _ in said} <= {"units.py"}
+        return said[-1][1] if said else None
 
     file.write_text(code)
     sources.look_at((one,))
     sources.hear(UnitEvent(UnitReady("count.1", 10)))
-    assert units_with_other_code_than(code + "\n") == "count.1"
-    assert units_with_other_code_than(code) == ""
-    assert units_with_other_code_than(code + "\n") == "count.1"
+    assert units_with_other_code_than(code) is None
+    assert units_with_other_code_than(code + "\n") == ("count.1",)
+    assert units_with_other_code_than(code) == ()
+    assert units_with_other_code_than(code + "\n") == ("count.1",)
     running.append(ComputationUnit("count.2", "count"))
     sources.hear(UnitEvent(UnitReady("count.2", 10)))
-    assert units_with_other_code_than(code + "\n\n") == "count.1, count.2"
-    assert units_with_other_code_than(code) == "count.2"
+    assert units_with_other_code_than(code + "\n\n") == ("count.1", "count.2")
+    assert units_with_other_code_than(code) == ("count.2",)
 
 
 def test_a_reloading_run_restarts_what_runs_of_an_edited_file(env: Path) -> None:

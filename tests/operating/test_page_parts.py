@@ -73,6 +73,7 @@ def test_lists_of_the_page_tell_a_reason_once_as_the_terminal_does() -> None:
     [
         ({"lost_hosts": ("roof",)}, "host roof is gone"),
         ({"backing_off": (BackingOff("a", 3, 4.0, "exited with 3"),)}, "a waits to be started again: exited with 3"),
+        ({"old_code": {"units.py": ("a.1", "b.1")}}, "a.1, b.1 run with the code from before units.py changed"),
         ({"faults": (Fault("this is not YAML"),)}, "the file has an error: this is not YAML"),
     ],
 )

@@ -6,8 +6,9 @@ import os
 import subprocess
 from pathlib import Path
 
-_CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-VENV = Path(os.environ.get("CFGPLAN_TEST_ROS2") or _CACHE / "cfgplan" / "ros2-jazzy")
+from cfgplan.cache_folder import cache_folder
+
+VENV = Path(os.environ.get("CFGPLAN_TEST_ROS2") or (cache_folder() or Path()) / "ros2-jazzy")
 PYTHON = VENV / "bin" / "python"
 
 

@@ -144,7 +144,7 @@ def test_two_nodes_in_one_process_that_get_the_same_name_are_told_of(
 ) -> None:
     begin(runtime, broken("pair"))
     assert next(observer.listen("/shout")).endswith("!")
-    assert "2 nodes of its process are called /pair_1" in lines("pair.1", "cfgplan:")
+    assert "2 nodes are called /pair_1" in lines("pair.1", "cfgplan:")
 
 
 def test_each_node_of_a_process_may_have_a_name_of_its_own(runtime: Runtime, observer: Observer) -> None:

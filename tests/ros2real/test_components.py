@@ -91,7 +91,7 @@ def test_all_components_of_a_container_that_dies_are_loaded_into_a_new_one(tmp_p
         reached = [int(shout.removesuffix("!")) for shout in islice(shouts, 200)][-1]
         (container,) = containers(run)
         os.kill(container, signal.SIGKILL)
-        assert "was in the container /eyes, which was killed by SIGKILL" in await_event(run, "UnitDied")["cause"]
+        assert "it was in the container /eyes, which was killed by SIGKILL" in await_event(run, "UnitDied")["cause"]
         assert next(number for shout in shouts if (number := int(shout.removesuffix("!"))) < reached), "it counts anew"
         assert container not in containers(run)
         assert len(containers(run)) == 1

@@ -12,7 +12,7 @@ from itertools import islice
 import psutil
 import pytest
 from cfgplan_runtime import ApplyError, Runtime
-from cfgplan_runtime.supervision.events import Event, OutletsOpened, UnitPrinted, UnitReady, UnitStopped
+from cfgplan_runtime.supervision.events import Event, OutletsOpened, UnitHung, UnitPrinted, UnitReady, UnitStopped
 from operated_world import PATIENCE_S, eventually
 from ros2_words import POINT, Observer, command_of
 
@@ -22,6 +22,7 @@ from cfgplan.domain import (
     InputPort,
     OutputPort,
     Publication,
+    RunOptions,
     Stream,
     Subscription,
     Target,
@@ -124,20 +125,20 @@ def test_the_first_message_of_a_source_comes_since_it_is_activated_last(
 
 @pytest.mark.parametrize("transition", ["configure", "activate"])
 @pytest.mark.parametrize(
-    ("how", "cause"),
+    ("how", "end"),
     [
-        ("refuse", "/worse_1 could not be {verb}; its state is {state}"),
-        ("raise", "/worse_1 could not be {verb}; its state is unconfigured"),
-        ("die", "ended with exit status 3"),
+        ("refuse", "refused a transition: /worse_1 could not be {verb}; its state is {state}"),
+        ("raise", "refused a transition: /worse_1 could not be {verb}; its state is unconfigured"),
+        ("die", "died: ended with exit status 3"),
     ],
 )
 def test_an_update_is_undone_with_its_cause_if_the_new_node_fails_in_a_transition(
-    transition: str, how: str, cause: str, runtime: Runtime, observer: Observer, told: list[tuple[str, str]]
+    transition: str, how: str, end: str, runtime: Runtime, observer: Observer, told: list[tuple[str, str]]
 ) -> None:
     ticks = begin(runtime, observer)
     verb, state = {"configure": ("configured", "unconfigured"), "activate": ("activated", "inactive")}[transition]
     worse = replace(KEEPER, label="worse", params={transition: how})
-    with pytest.raises(ApplyError, match=re.escape(f"worse.1 died: {cause.format(verb=verb, state=state)}")):
+    with pytest.raises(ApplyError, match=re.escape(f"worse.1 {end.format(verb=verb, state=state)}")):
         runtime.apply(replacement("worse.1", worse))
     assert_whole(ticks)
     assert ("keeper.1", "deactivate") not in told
@@ -209,6 +210,24 @@ def test_a_new_node_of_an_undone_update_stays_inactive_until_the_next_one(
     runtime.apply(ChangeSet(rewired=(keeper("keeper.2"),), stopped=("keeper.1",)))
     assert_whole(ticks)
     assert said("configure") == 1
+
+
+def test_a_node_that_hangs_after_its_activation_was_taken_back_is_killed(runtime: Runtime, observer: Observer) -> None:
+    """It has answered while the other node started. It is told to be inactive while it is being activated, then it
+    hangs in the next transition.
+    """
+    hung: queue.SimpleQueue[str] = queue.SimpleQueue()
+    runtime.listen(lambda event: hung.put(event.unit) if isinstance(event, UnitHung) else None)
+    begin(runtime, observer)
+    stuck = replace(
+        KEEPER, label="stuck", params={"activate": "1.5", "deactivate": "60.0"}, run=RunOptions(hang_us=3_000_000)
+    )
+    worse = replace(KEEPER, label="worse", params={"activate": "refuse", "late": 5.0})
+    started = (keeper("stuck.1"), ComputationUnit("worse.1", "worse"))
+    with pytest.raises(ApplyError, match="worse"):
+        change_set = ChangeSet(started, stopped=("keeper.1",), added_transformations=(stuck, worse))
+        runtime.apply(change_set, keeps_new=True)
+    assert hung.get(timeout=PATIENCE_S) == "stuck.1"
 
 
 def test_a_new_helper_leaves_active_nodes_active_and_replaces_them(

@@ -105,9 +105,9 @@ def test_a_lifecycle_node_that_can_not_be_configured_is_told_of(
     runtime: Runtime, told: Callable[[type[Event]], Event]
 ) -> None:
     cause = "/worker_1 could not be configured; its state is unconfigured"
-    with pytest.raises(ApplyError, match=f"worker.1 died: {cause}"):
+    with pytest.raises(ApplyError, match=f"worker.1 refused a transition: {cause}"):
         begin(runtime, replace(WORKER, params={"lame": True}))
-    assert told(UnitDied) == UnitDied("worker.1", cause)
+    assert told(UnitDied) == UnitDied("worker.1", cause, "refused a transition")
 
 
 @pytest.mark.parametrize("transformation", [WORKER, SHOUTER], ids=["lifecycle", "warm"])

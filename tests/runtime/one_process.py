@@ -111,7 +111,7 @@ class House:
         self.activating: set[str] = set()
         self.topics: dict[str, str | None] = {}
         self.lost_hosts: set[str] = set()
-        self.cause_of_death: dict[str, str] = {}
+        self.ends: dict[str, str] = {}
         self.is_abandoned = False
         self.inexact: list[events.StateNotExact] = []
         self.timed_out: list[float] = []

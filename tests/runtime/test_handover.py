@@ -105,6 +105,25 @@ def test_large_elements_that_come_in_a_hand_over_are_bounded_in_bytes(*, is_next
         assert (child._handover.waiting("x"), child._steps.dropped) == (room, {"x": 50 - room})
 
 
+def test_places_that_are_asked_for_are_told_after_the_first_step_except_those_of_first_elements() -> None:
+    """A first element that has become a step is not kept any more; the places of other inlets still count."""
+    receiver = SimpleNamespace(place=None)
+    ports = SimpleNamespace(inputs={name: SimpleNamespace(receivers={"": receiver}) for name in "ab"})
+    handover = Handover(queue_of("all", "optional"), cast("Ports", ports), 10)
+    handover.hold()
+    handover.ask_places({"a": True, "b": False})
+    handover.begin({})
+    assert handover.places() is None
+    receiver.place = 7, 0
+    assert handover.places() == {"b": (7, 0)}
+    assert handover.places() is None
+    handover.hold()
+    handover.ask_places({"a": True})
+    handover.keep("a", Element(1, 0, 1, b""), may_drop=False)
+    handover.begin({})
+    assert handover.places() is None
+
+
 @pytest.mark.parametrize("is_next", [True, False], ids=["the next unit", "the unit before"])
 def test_no_step_begins_in_a_hand_over_however_long_the_update_takes(
     monkeypatch: pytest.MonkeyPatch, *, is_next: bool

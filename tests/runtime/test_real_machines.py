@@ -89,7 +89,9 @@ def test_a_process_that_can_not_be_made_is_one_units_failure(
     runtime.apply(ONE)
     pids = [runtime.pid("count.1"), runtime.pid("work.1")]
     full.touch()
-    with pytest.raises(ApplyError, match=r"work\.2 died: no process can be made: Resource temporarily unavailable"):
+    with pytest.raises(
+        ApplyError, match=r"work\.2 could not start: no process can be made: Resource temporarily unavailable"
+    ):
         runtime.apply(start(unit("work.2", x="count.1/n")))
     assert [runtime.pid("count.1"), runtime.pid("work.1")] == pids
     full.unlink()

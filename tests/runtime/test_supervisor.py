@@ -683,7 +683,7 @@ def test_nothing_waits_for_a_unit_on_a_host_that_is_lost_while_it_starts() -> No
     simulation.backend.lose_host("r3")
     began_s = simulation.backend.now()
     new = at("r3", unit("work.2", topic="/result", x="count.1/n"))
-    with pytest.raises(ApplyError, match=r"work\.2 died: host r3 is gone: its link is cut"):
+    with pytest.raises(ApplyError, match=r"work\.2 was given up: host r3 is gone: its link is cut"):
         simulation.apply(ChangeSet((new,), stopped=("work.1",)), basis=before)
     assert simulation.backend.now() - began_s < 0.1
     simulation.check()

@@ -72,7 +72,7 @@ class Scene:
     is_abandoned: bool = False
     unfollowed: Set[str] = frozenset()
     """Topics to which not all followers are connected."""
-    cause_of_death: dict[str, str] = field(default_factory=dict)
+    ends: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.alive = set(self.environment.unit)
@@ -294,7 +294,11 @@ def test_an_update_gives_its_commands_in_this_order(
 @pytest.mark.parametrize(
     ("scene", "cause", "said"),
     [
-        (Scene(dying={"work.2"}, cause_of_death={"work.2": "no camera"}), r"work\.2 died: no camera", ["wait"]),
+        (
+            Scene(dying={"work.2"}, ends={"work.2": "could not start: no camera"}),
+            r"work\.2 could not start: no camera",
+            ["wait"],
+        ),
         (Scene(slow={"work.2"}), r"work\.2 was not ready within 30 s", ["wait in vain", "dump work.2", "wait in vain"]),
         (Scene(slow={"work.2"}, is_abandoned=True), r"given up while work\.2 was starting", ["wait"]),
     ],

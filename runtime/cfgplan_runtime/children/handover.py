@@ -120,8 +120,8 @@ class Handover:
         Places that are asked for are told later, too, except those of first elements, which become steps.
         """
         self.is_waiting = False
-        if self._sought is not None and any(self._sought.values()):
-            self._sought = None
+        if self._sought is not None:
+            self._sought = {name: False for name, is_first in self._sought.items() if not is_first} or None
         held = self._held or {}
         for inlet, given in inputs.items():
             if inlet in self._ports.inputs:

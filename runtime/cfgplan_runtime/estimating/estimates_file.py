@@ -9,6 +9,7 @@ from pathlib import Path
 
 import msgspec
 
+from cfgplan.user_folders import user_folder
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.estimating.estimator import LearningEstimator
 from cfgplan_runtime.estimating.evidence import Evidence
@@ -35,8 +36,7 @@ def default_file(environment_file: Path) -> Path:
     Without `$XDG_STATE_HOME` it is in `~/.local/state`. The name is that of the environment file with a hash of its
     full path.
     """
-    given = os.environ.get("XDG_STATE_HOME")
-    folder = Path(given) if given else Path.home() / ".local" / "state"
+    folder = user_folder("XDG_STATE_HOME") or Path.home() / ".local" / "state"
     path = environment_file.resolve()
     digest = hashlib.sha256(os.fsencode(path)).hexdigest()[:12]
     return folder / "cfgplan" / "estimates" / f"{path.stem}-{digest}.json"

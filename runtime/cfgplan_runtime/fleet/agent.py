@@ -475,7 +475,7 @@ class Agent:
         fault = self._fault_of_code(start)
         if fault:
             self._backend.discard(start.spare or "")
-            self._say(orders.report_of(events.UnitDied(unit, fault)))
+            self._say(orders.report_of(events.UnitDied(unit, fault, "could not start")))
             return
         order = msgspec.structs.replace(start.order, state=None)
         self._held.units[unit] = orders.HeldUnit(start.label, order, since_s=time.monotonic())
@@ -509,12 +509,12 @@ class Agent:
             if program is not None:
                 program.file(self._backend.code_folder)
         except InputError as error:
-            return f"can't be started on {self.name}: {error}"
+            return f"on {self.name}: {error}"
         file = source_file(order.order.source, self._backend.code_folder)
         if order.digest is None or file is None or digest_of(file) == order.digest:
             return ""
         is_there = "another version than the manager's" if file.exists() else "not there"
-        return f"can't be started on {self.name}: {file} is {is_there}"
+        return f"on {self.name}, {file} is {is_there}"
 
     def _tell(self, event: events.Event) -> None:
         held = self._held

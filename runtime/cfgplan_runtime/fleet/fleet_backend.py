@@ -318,7 +318,7 @@ class FleetBackend:
         told = f"host {host.name} is gone: {cause}"
         for unit in sorted(self._anywhere):
             if self._units.get(unit) == host.name:
-                self._events.append(events.UnitDied(unit, told))
+                self._events.append(events.UnitDied(unit, told, "was given up"))
             elif self._spares.get(unit) == host.name:
                 self._events.append(events.SpareLost(unit, told))
         self._units = {unit: at for unit, at in self._units.items() if at != host.name}

@@ -23,7 +23,7 @@ from cfgplan_runtime.lifecycle.configuration import Situation, external_units, i
 from cfgplan_runtime.lifecycle.deliberation import Findings, Looked
 from cfgplan_runtime.lifecycle.differences import can_run_as
 from cfgplan_runtime.lifecycle.fact_values import fact_seen, facts_fallen_silent
-from cfgplan_runtime.lifecycle.inbox import Asked, FactSeen, Item, Leave, PreviewAsked, QualityTold, Unusable
+from cfgplan_runtime.lifecycle.inbox import Asked, FactSeen, Item, Leave, OldCode, PreviewAsked, QualityTold, Unusable
 from cfgplan_runtime.lifecycle.kinds import Urgency, kind_of
 from cfgplan_runtime.lifecycle.looks import Idle, Looks, hopes_of
 from cfgplan_runtime.lifecycle.perturbations import (
@@ -155,6 +155,8 @@ def _case(transition: Transition, what: Input) -> Transition:
             return transition.to(replace(transition.state, previews=(*transition.state.previews, what.outcome)))
         case Unusable():
             return intake.refused(transition, what.by, what.faults)
+        case OldCode(file, units):
+            return intake.old_code_found(transition, file, units)
         case Leave():
             return transition.to(replace(transition.state, is_closing=True))
         case Seen():

@@ -36,6 +36,14 @@ class Unusable:
 
 
 @dataclass(frozen=True, slots=True)
+class OldCode:
+    """These units, perhaps none, run with another code than the one in `file` now."""
+
+    file: str
+    units: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class FactSeen:
     """A stream carries the value of a fact, whose key is `name`."""
 
@@ -63,7 +71,7 @@ class Leave:
     """The manager has to end, and to leave the units to the middleware."""
 
 
-Item: TypeAlias = Event | Asked | FactSeen | QualityTold | PreviewAsked | Unusable | Leave
+Item: TypeAlias = Event | Asked | FactSeen | QualityTold | PreviewAsked | Unusable | OldCode | Leave
 
 
 @dataclass(frozen=True, slots=True)

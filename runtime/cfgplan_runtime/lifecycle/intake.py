@@ -39,7 +39,7 @@ from cfgplan_runtime.lifecycle.perturbations import (
     UnitKeepsFailing,
     WorldChanged,
 )
-from cfgplan_runtime.lifecycle.reports import WorldRefused
+from cfgplan_runtime.lifecycle.reports import OldCodeRuns, WorldRefused
 from cfgplan_runtime.lifecycle.seen_qualities import losing_streams
 from cfgplan_runtime.lifecycle.state import Note, State, Updating
 from cfgplan_runtime.lifecycle.stream_qualities import qualities_restated
@@ -72,8 +72,8 @@ def heard(transition: Transition, event: events.Event) -> Transition:
             return _noted(transition, unit, replace(_note(state, unit), end=kind_of(event).blame))
         case events.UnitFailed(unit, text=text) if text:
             return _noted(transition, unit, replace(_note(state, unit), error=text))
-        case events.UnitDied(unit, cause):
-            return _gone(transition, unit, cause)
+        case events.UnitDied():
+            return _gone(transition, event)
         case events.SparePrepared(spare):
             return transition.situated(replace(state.situation, prepared=state.situation.prepared | {spare}))
         case events.SpareLost(spare) | events.SpareUsed(_, spare):
@@ -201,6 +201,20 @@ def refused(transition: Transition, by: str, faults: tuple[Fault, ...]) -> Trans
     return transition.to(replace(transition.state, faults=faults)).also(Tell(WorldRefused(by, faults)))
 
 
+def old_code_found(transition: Transition, file: str, units: tuple[str, ...]) -> Transition:
+    """Report the units that run with the code from before an edit of `file`, and that none does any more.
+
+    If only some of the reported ones have ended, nothing is reported.
+    """
+    known = transition.state.old_code
+    others = {other: there for other, there in known.items() if other != file}
+    transition = transition.to(replace(transition.state, old_code={**others, file: units} if units else others))
+    is_less, before = set(units) < set(known.get(file, ())), bool(known.get(file))
+    if (not units and not before) or (units and is_less):
+        return transition
+    return transition.also(Tell(OldCodeRuns(file, units)))
+
+
 def _crossings_counted(transition: Transition, crossings: Crossings) -> Transition:
     """Take in counts of streams between hosts. A review is due if a link is found to have another rate."""
     state, situation, world = transition.state, transition.state.situation, transition.state.version.world.environment
@@ -254,16 +268,17 @@ def _restored(transition: Transition, kept: events.FailuresKept) -> Transition:
     return transition.situated(replace(situation, back_offs=back_offs)).telling_back_off(kept.transformation)
 
 
-def _gone(transition: Transition, unit: str, cause: str) -> Transition:
-    state, situation, note = transition.state, transition.state.situation, _note(transition.state, unit)
+def _gone(transition: Transition, event: events.UnitDied) -> Transition:
+    unit, state, situation = event.unit, transition.state, transition.state.situation
+    note = _note(state, unit)
     transition = _unnoted(transition, unit)
     if unit not in situation.units:
         return transition.answered(unit)
     running, is_killed = situation.units[unit], unit in situation.killed
-    gone = UnitGone(
-        unit, running.transformation.label, "killed" if is_killed else note.end or "died", cause, running.host
-    )
-    is_blameless = is_killed or unit in situation.failing or is_outdated(running, state.version.world.environment)
+    how = "killed" if is_killed else note.end or event.how
+    gone = UnitGone(unit, running.transformation.label, how, event.cause, running.host)
+    is_ours = is_killed or how == "was given up" or unit in situation.failing
+    is_blameless = is_ours or is_outdated(running, state.version.world.environment)
     lived_s = None if is_blameless else transition.at_s - running.since_s
     transition = transition.situated(situation.without(unit))
     if isinstance(state.doing, Updating) and unit in state.doing.starting:  # the update's end tells what it means

@@ -7,6 +7,7 @@ sentence, a level, a counter, an urgency or a blame for a kind.
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Flag, IntEnum, auto
@@ -170,6 +171,13 @@ def _fact_silent(report: reports.FactSilent) -> str:
     return f"{lead}: it counts as {report.declared}, as declared"
 
 
+def _old_code(report: reports.OldCodeRuns) -> str:
+    if not report.units:
+        return f"{report.file}: no unit runs with the code from before any more"
+    again = f"`cfgplan ctl restart {shlex.quote(report.units[0])}` replaces it by a new one"
+    return f"{report.file} has changed, and these units run with the code from before: {named(report.units)}; {again}"
+
+
 def review_sentence(review: reports.Review) -> str:
     """The decision of a review, with its causes and times."""
     parts = [f"Review {review.number}: {decision(review)}"]
@@ -216,7 +224,7 @@ _EVENTS = (
     Kind(events.UnitReady),
     Kind(
         events.UnitDied,
-        says=lambda it: f"{it.unit} died: {short(it.cause)}",
+        says=lambda it: f"{it.unit} {it.how}: {short(it.cause)}",
         level=Level.ERROR,
         urgency=Urgency.ABANDON,
         shown=_USUALLY | Shown.AS_LINE,
@@ -400,6 +408,7 @@ _REPORTS = (
     ),
     Kind(reports.BackedOff, says=_backed_off, level=Level.WARNING),
     Kind(reports.WorldRefused, says=_world_refused, level=Level.WARNING, is_grave=lambda it: bool(it.faults)),
+    Kind(reports.OldCodeRuns, says=_old_code, level=Level.WARNING, is_grave=lambda it: bool(it.units)),
     Kind(reports.FactSilent, says=_fact_silent, level=Level.WARNING),
     Kind(
         reports.Ended,

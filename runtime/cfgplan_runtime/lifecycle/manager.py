@@ -42,6 +42,7 @@ from cfgplan_runtime.lifecycle.inbox import (
     Inbox,
     Item,
     Leave,
+    OldCode,
     Outcome,
     PreviewAsked,
     QualityTold,
@@ -172,6 +173,12 @@ class Manager:
         """Report that the world's file, called `by`, has these `faults`; without any, that it is valid again."""
         self._put(Unusable(by, faults))
 
+    def note_old_code(self, file: str, units: tuple[str, ...]) -> None:
+        """Report that these `units` run with another code than the one in `file` now; without any, that none does any
+        more.
+        """
+        self._put(OldCode(file, units))
+
     def listen(self, listener: Callable[[Report], None]) -> None:
         """Call `listener` with every report, from several threads; it returns at once."""
         self._listeners.add(listener)
@@ -204,6 +211,7 @@ class Manager:
             {name: now - last.at_s for name, last in state.heard.items()},
             seen.qualities_now,
             quality_views(world.environment.with_facts(situation.facts), state, now),
+            state.old_code,
         )
 
     @property

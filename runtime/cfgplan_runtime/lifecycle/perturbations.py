@@ -7,6 +7,8 @@ from typing import Literal
 
 import msgspec
 
+from cfgplan_runtime.supervision import events
+
 
 class Perturbation(msgspec.Struct, frozen=True):
     """An event that ends a stable interval; each kind is a class of its own."""
@@ -17,13 +19,13 @@ class Started(Perturbation, frozen=True):
 
 
 class UnitGone(Perturbation, frozen=True):
-    """A unit has ended without being told to: it `died`, `hung` or grew `too large` and was killed, or was `killed` on
-    request.
+    """A unit has ended without being told to: it `hung` or grew `too large` and was killed, was `killed` on request, or
+    ended as its `UnitDied` says.
     """
 
     unit: str
     transformation: str
-    how: Literal["died", "hung", "too large", "killed"]
+    how: events.End | Literal["hung", "too large", "killed"]
     cause: str
     host: str | None = None
 

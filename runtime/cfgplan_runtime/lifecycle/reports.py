@@ -186,6 +186,8 @@ class Snapshot:
     """The qualities that follow facts or were observed; see `Environment.qualities_now`."""
     qualities: tuple[QualityView, ...] = ()
     """What observed streams have taught of outputs."""
+    old_code: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """By file of unit code that has changed: the units that run with the code from before."""
 
 
 class Report(msgspec.Struct, frozen=True):
@@ -241,6 +243,15 @@ class WorldRefused(Report, frozen=True):
 
     by: str
     faults: tuple[Fault, ...]
+
+
+class OldCodeRuns(Report, frozen=True):
+    """The unit code in `file` has changed, and these `units` run with the code from before; if `units` is empty, none
+    does any more: the code was changed back, or these units have ended.
+    """
+
+    file: str
+    units: tuple[str, ...]
 
 
 class FactSilent(Report, frozen=True):

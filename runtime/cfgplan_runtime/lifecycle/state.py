@@ -130,6 +130,8 @@ class State:
     link_rates: LinkRates = field(default_factory=LinkRates)
     faults: tuple[Fault, ...] = ()
     """The faults of the last version of the world's file."""
+    old_code: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """By file of unit code that has changed: the units that run with the code from before."""
     stops: tuple[Outcome, ...] = ()
     """The requests for the end."""
     previews: tuple[Future[Preview], ...] = ()

@@ -9,6 +9,9 @@ from cfgplan_runtime.nodes.node_process import NodeProcess
 from cfgplan_runtime.streams.ends import Ends
 from cfgplan_runtime.supervision import events
 
+NOT_OURS = "this run has not started its process, and can't end it"
+"""The cause of an end that only this run counts as one."""
+
 
 class WatchedProcesses:
     """Appends the output of processes to `happened`, as events.

@@ -260,6 +260,7 @@ class Operation(Closable):
             running=lambda: self.runtime.environment.units,
             request=self.manager.request,
             tell=self.show,
+            tell_old=self.manager.note_old_code,
             reloads=settings.reloads,
             told=settings.told,
         )

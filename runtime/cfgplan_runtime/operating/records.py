@@ -53,6 +53,7 @@ def snapshot_record(snapshot: reports.Snapshot, flows: Mapping[str, Record] | No
         "declared": list(snapshot.declared),
         "removed": list(snapshot.removed),
         "faults": [plain(fault) for fault in snapshot.faults],
+        "old_code": {file: list(units) for file, units in snapshot.old_code.items()},
     }
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import threading
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -45,8 +44,9 @@ class Sources(FileWatch):
 
     `library` and `running` return the transformations and the running units. `check` finds the fault of a source; with
     None no code is checked, since other computers have it. `request` is called when the set of transformations that can
-    be started changes, `tell` with each new fault. Modules with dotted names are watched if they are found; imports of
-    unit code are not. If it `reloads`, it requests a restart of units whose code has changed. The user has
+    be started changes, `tell` with each new fault, and `tell_old` with a file that has changed and the units that run
+    with the code from before, again when there are fewer. Modules with dotted names are watched if they are found;
+    imports of unit code are not. If it `reloads`, it requests a restart of units whose code has changed. The user has
     already seen the faults in `told`, by label. Let it `hear` the manager, to know with which code units have started.
     """
 
@@ -59,13 +59,14 @@ class Sources(FileWatch):
         running: Callable[[], Iterable[ComputationUnit]],
         request: Callable[[FaultyCode | RestartUnits], object],
         tell: Callable[[str], object],
+        tell_old: Callable[[str, tuple[str, ...]], object],
         reloads: bool = False,
         told: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         super().__init__(lambda: self._labels_of_files(library()), self._hear)
         self._folder, self._check = folder, check
         self._library, self._running, self._request, self._say = library, running, request, tell
-        self._reloads, self._shown = reloads, told
+        self._tell_old, self._reloads, self._shown = tell_old, reloads, told
         self._faults: dict[str, str] = {}
         self._lock = threading.Lock()
         self._seen: Sequence[Transformation] | None = None
@@ -73,6 +74,9 @@ class Sources(FileWatch):
         """The digest of each file at the last look."""
         self._started: dict[str, Mapping[Path, str | None]] = {}
         """By unit: these digests at its start."""
+        self._old_lock = threading.RLock()
+        self._old: dict[str, tuple[str, ...]] = {}
+        """By file: the units that run with the code from before, if there are any."""
 
     def hear(self, report: Report) -> None:
         """Listen to a manager: note the code of a unit that has started."""
@@ -81,6 +85,9 @@ class Sources(FileWatch):
                 self._started[unit] = self._digests
             case UnitEvent(UnitDied(unit) | UnitStopped(unit)):
                 self._started.pop(unit, None)
+                with self._old_lock:
+                    for file, units in [(file, units) for file, units in self._old.items() if unit in units]:
+                        self._note_old(file, tuple(other for other in units if other != unit))
 
     def look_at(self, library: Sequence[Transformation], changed: Collection[str] = ()) -> None:
         """Look at all sources of a library. `changed` are the labels whose files have changed."""
@@ -136,17 +143,25 @@ class Sources(FileWatch):
             self.look_at(library, [label for each in labels.values() for label in each])
         for path, of_file in sorted(labels.items()):
             now = digest_of(path)
-            known = [unit.id for unit in self._running() if unit.transformation in of_file and not unit.standby]
-            units = [unit for unit in known if self._started.get(unit, {}).get(path) != now]
-            if not units or self._faults.keys() & {*of_file}:
+            if self._faults.keys() & {*of_file}:
                 continue
-            if self._reloads:
-                self._say(f"{path.name} has changed: {named(units)} {'is' if len(units) == 1 else 'are'} restarted")
-                self._request(RestartUnits(tuple(units), path.name))
-            else:
-                self._say(_advice(path, units))
+            with self._old_lock:  # a unit that ends meanwhile is heard of after this
+                known = [unit.id for unit in self._running() if unit.transformation in of_file and not unit.standby]
+                units = [unit for unit in known if self._started.get(unit, {}).get(path) != now]
+                if not (units and self._reloads):
+                    self._note_old(self._name(path), tuple(units))
+                    continue
+            self._say(f"{path.name} has changed: {named(units)} {'is' if len(units) == 1 else 'are'} restarted")
+            self._request(RestartUnits(tuple(units), path.name))
 
+    def _name(self, path: Path) -> str:
+        return str(path.relative_to(self._folder)) if path.is_relative_to(self._folder) else str(path)
 
-def _advice(path: Path, units: list[str]) -> str:
-    again = f"`cfgplan ctl restart {shlex.quote(units[0])}` replaces it by a new one"
-    return f"{path.name} has changed, and these units run with the code from before: {named(units)}; {again}"
+    def _note_old(self, file: str, units: tuple[str, ...]) -> None:
+        """Report which units run with the code from before, if any do or did."""
+        with self._old_lock:
+            before = self._old.pop(file, ())
+            if units:
+                self._old[file] = units
+            if units or before:
+                self._tell_old(file, units)

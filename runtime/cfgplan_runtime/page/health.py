@@ -52,6 +52,8 @@ def _warnings(state: Record) -> Iterator[str]:
         yield f"{some(each.names)} {'waits' if len(each.names) == 1 else 'wait'} to be started again: {each.cause}"
     if state["faults"]:
         yield f"the file has an error: {state['faults'][0]['message']}"
+    for file, units in state["old_code"].items():
+        yield f"{some(units)} {'runs' if len(units) == 1 else 'run'} with the code from before {file} changed"
     for unit in state["units"]:
         if unit.get("errors"):
             yield f"{unit['id']} has failed in {counted(unit['errors'], 'step')}"

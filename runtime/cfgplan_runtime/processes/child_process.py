@@ -21,6 +21,7 @@ from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.exit_status import end_of_process
 from cfgplan_runtime.children.messages import FromChild
 from cfgplan_runtime.children.started_usage import started_usage
+from cfgplan_runtime.supervision.events import End
 
 _LONGEST_LINE = 1 << 16
 _MOST_BYTES = 1 << 22
@@ -120,6 +121,7 @@ class ChildProcess:
     """The number of started steps, by its last sign of life."""
     trouble: str = ""
     """The cause of its end, as reported by the child."""
+    how: End = "died"
     is_program: bool = False
     """Whether it hosts a program, whose CPU time and memory are its own."""
     is_spare: bool = False

@@ -394,7 +394,7 @@ class ProcessBackend:
             if isinstance(order, messages.SpareOrder):
                 self._events.append(events.SpareLost(name, cause))
             else:
-                self._tell_end(name, cause, was_asked=False)
+                self._tell_end(name, cause, "could not start", was_asked=False)
             return None
         self._serial += 1
         ours, theirs, printed, printing = ends
@@ -421,7 +421,7 @@ class ProcessBackend:
                 case messages.Gone(_, status) if child is not None:
                     self._remove_dead(child, status)
                 case messages.NotForked(_, cause) if child is not None:
-                    child.trouble = cause
+                    child.trouble, child.how = cause, "could not start"
                     self._remove_dead(child, 0)
         if self._nursery.has_died:
             self._lose_nursery()
@@ -446,15 +446,15 @@ class ProcessBackend:
         self._forget(child)
         cause = cause_of_end(child, status)
         if not child.is_spare:
-            self._tell_end(child.name, cause, was_asked=child.is_stopping)
+            self._tell_end(child.name, cause, child.how, was_asked=child.is_stopping)
         elif is_wanted:
             self._events.append(events.SpareLost(child.name, cause))
 
-    def _tell_end(self, name: str, cause: str, *, was_asked: bool) -> None:
+    def _tell_end(self, name: str, cause: str, how: events.End, *, was_asked: bool) -> None:
         if name == OUTLETS:
             self._lose_outlets(cause)
         else:
-            self._events.append(events.UnitStopped(name) if was_asked else events.UnitDied(name, cause))
+            self._events.append(events.UnitStopped(name) if was_asked else events.UnitDied(name, cause, how))
 
     def _forget(self, child: ChildProcess) -> None:
         self._children.pop(child.serial, None)
@@ -504,6 +504,7 @@ class ProcessBackend:
                 self._events.append(events.InputLost(name or None, port, wire))
             case messages.Trouble("exited" | "failed", step, text):
                 child.trouble = f"{text.strip()} (in step {step})" if step else text.strip()
+                child.how = "could not start" if child.labor_us is None else "died"
             case messages.Trouble(kind, step, text, suppressed):
                 self._events.append(events.UnitFailed(name, kind, step, text, suppressed))
             case messages.Exhausted():

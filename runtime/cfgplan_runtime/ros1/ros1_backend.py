@@ -21,7 +21,7 @@ from cfgplan_runtime.children.exit_status import clause_of
 from cfgplan_runtime.nodes.node_process import NodeProcess
 from cfgplan_runtime.nodes.relay_messages import Lead, Tap
 from cfgplan_runtime.nodes.relayed_wires import ENVIRONMENT_FILE, RelayedWires
-from cfgplan_runtime.nodes.watched_processes import WatchedProcesses
+from cfgplan_runtime.nodes.watched_processes import NOT_OURS, WatchedProcesses
 from cfgplan_runtime.processes.child_process import cpu_us, memory_bytes
 from cfgplan_runtime.processes.nursery_link import start_helper
 from cfgplan_runtime.ros1.node_watch import NodeWatch
@@ -161,7 +161,7 @@ class Ros1Backend:
             name = source.name if source.kind == "external" else self._free_name(unit)
             self._begin(_UnitNode(unit, RosUnit(name, source, transformation)))
         except (InputError, SilentError, OSError) as error:
-            self._events.append(events.UnitDied(unit, f"can't be started: {error}"))
+            self._events.append(events.UnitDied(unit, str(error), "could not start"))
 
     def prepare(self, spare: str, transformation: Transformation, host: str | None) -> None:
         """Do nothing: a waiting node would already run."""
@@ -321,7 +321,7 @@ class Ros1Backend:
 
     def _note_silence(self, node: _UnitNode) -> None:
         if node.process is None and (node.group is None or node.group.process is None):
-            self._remove_dead(node, f"{node.ros.name} does not answer any more")
+            self._remove_dead(node, f"{node.ros.name} does not answer any more", "was given up")
 
     # Nodes.
 
@@ -366,7 +366,7 @@ class Ros1Backend:
         """Read the last lines of a process that has ended, then report its end."""
         self._remove_dead(node, self._processes.last_words(process, node.unit))
 
-    def _remove_dead(self, node: _UnitNode, cause: str) -> None:
+    def _remove_dead(self, node: _UnitNode, cause: str, how: events.End = "died") -> None:
         """Forget a node that has ended or was given up."""
         del self._nodes[node.unit], self._units[node.ros.name]
         if node.watch is not None:
@@ -376,14 +376,15 @@ class Ros1Backend:
         if node.process is not None and node.address is not None:
             self._to_master.submit(forget_node, self.master.address, node.ros.name, node.address)
         self._wires.close_inlets(node.unit)
-        self._events.append(events.UnitStopped(node.unit) if node.is_stopping else events.UnitDied(node.unit, cause))
+        gone = events.UnitStopped(node.unit) if node.is_stopping else events.UnitDied(node.unit, cause, how)
+        self._events.append(gone)
 
     def _end(self, node: _UnitNode, end: Callable[[NodeProcess], None]) -> None:
         """Unload a nodelet, forget an external node, or call `end` with the process of any other node."""
         if node.group is not None:
             self._unload(node, node.group)
         elif node.process is None:
-            self._remove_dead(node, "is given up")
+            self._remove_dead(node, NOT_OURS, "was given up")
         else:
             end(node.process)
 
@@ -412,7 +413,7 @@ class Ros1Backend:
 
         def do(known: _UnitNode) -> None:
             if known is node and cause:
-                self._remove_dead(node, cause)
+                self._remove_dead(node, cause, "could not start")
             elif known is node:
                 node.is_loaded = True
                 self._events.append(events.UnitReady(node.unit, labor_us))
@@ -433,7 +434,7 @@ class Ros1Backend:
             if known is not node:
                 return
             if is_done:
-                self._remove_dead(node, "was unloaded")
+                self._remove_dead(node, "it was unloaded")
             else:
                 self._end_group(group)
 
@@ -454,15 +455,17 @@ class Ros1Backend:
         del self._groups[group.name]
         if group.watch is not None:
             group.watch.end()
-        end = "is given up"
+        how: events.End = "was given up"
+        cause = f"the nodelet manager {group.name} is given up: {NOT_OURS}"
         if group.process is not None:
-            end = self._processes.last_words(group.process, group.units.last)
+            end, how = self._processes.last_words(group.process, group.units.last), "died"
+            cause = f"it was in the nodelet manager {group.name}, which {clause_of(end)}"
             if group.address is not None:
                 self._to_master.submit(forget_node, self.master.address, group.name, group.address)
         for node in [self._nodes[unit] for unit in list(group.units) if unit in self._nodes]:
             if group.process is None:
                 group.unloads(node.ros)
-            self._remove_dead(node, f"was in the nodelet manager {group.name}, which {clause_of(end)}")
+            self._remove_dead(node, cause, how)
 
     def _watch_master(self) -> None:
         if self.master.ended is not None:
@@ -477,7 +480,7 @@ class Ros1Backend:
         for node in list(self._nodes.values()):
             if node.process is not None:
                 self._processes.last_words(node.process, node.unit)
-            self._remove_dead(node, "is ended, since the ROS master has died and nodes register there only once")
+            self._remove_dead(node, "the ROS master has died, and nodes register there only once", "was given up")
         self._wires.lose()
         self.master.restart()
         self._watch_master()

@@ -17,9 +17,10 @@ from cfgplan.errors import InputError
 from cfgplan_runtime.children.exit_status import clause_of
 from cfgplan_runtime.nodes.node_process import NodeProcess
 from cfgplan_runtime.nodes.shared_process import SharedProcess
-from cfgplan_runtime.nodes.watched_processes import WatchedProcesses
+from cfgplan_runtime.nodes.watched_processes import NOT_OURS, WatchedProcesses
 from cfgplan_runtime.ros2.host_messages import EndContainer, Load, LookForContainer, Unload
 from cfgplan_runtime.ros2.ros2_unit import Ros2Unit
+from cfgplan_runtime.supervision import events
 from cfgplan_runtime.supervision.backend import Usage
 
 
@@ -55,7 +56,7 @@ class Containers:
         tell: Callable[[msgspec.Struct], None],
         start: Callable[[str, list[str]], NodeProcess],
         processes: WatchedProcesses,
-        lose: Callable[[str, str], None],
+        lose: Callable[[str, str, events.End], None],
     ) -> None:
         self._tell, self._start, self._processes, self._lose = tell, start, processes, lose
         self._containers: dict[str, _Container] = {}
@@ -95,7 +96,7 @@ class Containers:
         if container.is_private and container.shared.process is not None:
             container.shared.process.interrupt()
         elif not container.is_there:
-            self._lose(unit, "is given up")
+            self._lose(unit, NOT_OURS, "was given up")
         elif not component.is_leaving:
             component.is_leaving = True
             self._unload(component)
@@ -108,7 +109,7 @@ class Containers:
         if container.shared.process is not None and (container.is_private or is_stuck):
             self._end(container)
         elif is_stuck:
-            self._lose(unit, "is given up")
+            self._lose(unit, NOT_OURS, "was given up")
         else:
             self.stop(unit)
 
@@ -143,7 +144,7 @@ class Containers:
                 self._begin(container, self._components[units[0]].ros)
         except (InputError, OSError) as error:
             for unit in units:
-                self._lose(unit, f"can't be started: {error}")
+                self._lose(unit, f"its container can't be started: {error}", "could not start")
             return
         for unit in units:
             self._load(self._components[unit])
@@ -161,7 +162,10 @@ class Containers:
             return
         container = self._of(self._components[unit])
         if is_done or container.shared.process is None:
-            self._lose(unit, "was unloaded" if is_done else f"is not unloaded by {container.name}")
+            if is_done:
+                self._lose(unit, "it was unloaded", "died")
+            else:
+                self._lose(unit, f"{container.name} does not unload it", "was given up")
         else:
             self._end(container)
 
@@ -198,15 +202,15 @@ class Containers:
         """End a container of the run with all its components. A foreign container keeps running."""
         if self._containers.get(container.name) is not container:
             return
-        units, end = list(container.shared), "is given up"
+        how: events.End = "was given up"
+        units, cause = list(container.shared), NOT_OURS
         if container.shared.process is not None:
-            end = self._processes.last_words(container.shared.process, container.shared.last)
+            end, how = self._processes.last_words(container.shared.process, container.shared.last), "died"
+            cause = end if container.is_private else f"it was in the container {container.name}, which {clause_of(end)}"
         del self._containers[container.name]
         self._tell(EndContainer(container.name))
         for unit in units:
-            self._lose(
-                unit, end if container.is_private else f"was in the container {container.name}, which {clause_of(end)}"
-            )
+            self._lose(unit, cause, how)
 
     def _load(self, component: _Component) -> None:
         ros = component.ros

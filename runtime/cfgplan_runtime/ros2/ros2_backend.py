@@ -14,7 +14,7 @@ from cfgplan_runtime.children import messages
 from cfgplan_runtime.nodes.node_process import NodeProcess
 from cfgplan_runtime.nodes.relay_messages import Lead, Tap
 from cfgplan_runtime.nodes.relayed_wires import ENVIRONMENT_FILE, RelayedWires
-from cfgplan_runtime.nodes.watched_processes import WatchedProcesses
+from cfgplan_runtime.nodes.watched_processes import NOT_OURS, WatchedProcesses
 from cfgplan_runtime.processes.child_process import cpu_us, memory_bytes
 from cfgplan_runtime.ros2.containers import Containers
 from cfgplan_runtime.ros2.fast_dds import FastDdsProfiles, clean_memory
@@ -73,8 +73,8 @@ class _UnitNode:
     is_activating: bool = False
     is_deactivating: bool = False
     """Whether it is deactivated before it ends."""
-    failure: str = ""
-    """The reason for which it was given up."""
+    verdict: tuple[str, events.End] | None = None
+    """The cause for which it is killed, and how that is told."""
 
 
 class Ros2Backend:
@@ -180,7 +180,7 @@ class Ros2Backend:
             self._begin(_UnitNode(unit, Ros2Unit(name, source, transformation)), spare or "")
         except (InputError, OSError) as error:
             self._wires.close_inlets(unit)
-            self._events.append(events.UnitDied(unit, f"can't be started: {error}"))
+            self._events.append(events.UnitDied(unit, str(error), "could not start"))
 
     def prepare(self, spare: str, transformation: Transformation, host: str | None) -> None:  # noqa: ARG002
         """Configure a lifecycle node; for any other node in Python start a waiting process. Do nothing for
@@ -233,7 +233,6 @@ class Ros2Backend:
         node = self._nodes.get(unit)
         if node is None:
             return False
-        node.is_activating = node.has_life
         self._change_state(node, is_active=True)
         return node.has_life
 
@@ -376,8 +375,10 @@ class Ros2Backend:
                     self._events.append(self._status(self._nodes[unit]))
             case Gone(unit) if unit in self._nodes:
                 node = self._nodes[unit]
-                gone = "is not there any more" if node.is_ready else "can't be started: no such node is there"
-                self._remove_dead(node, f"{node.ros.name} {gone}")
+                if node.is_ready:
+                    self._remove_dead(node, f"{node.ros.name} is not there any more", "was given up")
+                else:
+                    self._remove_dead(node, f"no node {node.ros.name} is there", "could not start")
             case Tapped(data=data, topic=topic, message=kind, time_ns=time_ns, skipped=skipped):
                 self._wires.taps.show(topic, time_ns, self._values.of(kind, data), skipped)
             case Told(unit, text) if unit in self._nodes:
@@ -391,6 +392,7 @@ class Ros2Backend:
 
     def _change_state(self, node: _UnitNode, *, is_active: bool) -> None:
         node.is_active = is_active
+        node.is_activating = is_active and node.has_life
         self._wires.tell(ChangeState(node.unit, is_active))
 
     def _note_state(self, node: _UnitNode, *, is_active: bool) -> None:
@@ -406,10 +408,10 @@ class Ros2Backend:
             self._events.append(events.UnitPrinted(node.unit, f"cfgplan: {cause}"))
             self._stop_now(node)
             return
-        node.failure = cause
         if node.unit in self._containers and not self._containers.is_loaded(node.unit):
-            self._remove_dead(node, cause)
+            self._remove_dead(node, cause, "could not start")
         else:
+            node.verdict = cause, "refused a transition"
             self.kill(node.unit)
 
     def _status(self, node: _UnitNode) -> events.UnitStatus:
@@ -473,10 +475,10 @@ class Ros2Backend:
     def _start_container(self, name: str, command: list[str]) -> NodeProcess:
         return self._new_process(word(name), command)
 
-    def _lose(self, unit: str, cause: str) -> None:
+    def _lose(self, unit: str, cause: str, how: events.End) -> None:
         """Forget a unit whose component is gone."""
         clean_memory()
-        self._remove_dead(self._nodes[unit], cause)
+        self._remove_dead(self._nodes[unit], cause, how)
 
     def _begin_spare(self, unit: str, node: _UnitNode) -> None:
         """Turn a configured spare into a unit. It keeps its name and its topics."""
@@ -504,7 +506,7 @@ class Ros2Backend:
         if node is None or node.process is not process:
             self._warm.lose(owner, cause)
             return
-        if not node.is_ready and not node.is_stopping and not node.is_spare:
+        if not (node.is_ready or node.is_stopping or node.is_spare or node.verdict):
             (self._warm.refuse if node.was_warm else self._unnumbered.add)(node.ros.transformation.label)
         self._remove_dead(node, cause)
 
@@ -522,9 +524,10 @@ class Ros2Backend:
         node = self._nodes.get(unit)
         return line if node is None else self._warnings.line(unit, line, node.ros.remappings)
 
-    def _remove_dead(self, node: _UnitNode, cause: str) -> None:
+    def _remove_dead(self, node: _UnitNode, cause: str, how: events.End = "died") -> None:
         """Forget a node that has ended or was given up."""
-        cause = node.failure or cause
+        if node.verdict is not None:
+            cause, how = node.verdict
         del self._nodes[node.unit]
         self._warnings.forget(node.unit)
         self._wires.close_inlets(node.unit)
@@ -535,7 +538,7 @@ class Ros2Backend:
         elif node.is_stopping:
             self._events.append(events.UnitStopped(node.unit))
         else:
-            self._events.append(events.UnitDied(node.unit, cause))
+            self._events.append(events.UnitDied(node.unit, cause, how))
 
     def _stop_now(self, node: _UnitNode) -> None:
         """Let a node end."""
@@ -548,7 +551,7 @@ class Ros2Backend:
     def _end(self, node: _UnitNode, end: Callable[[NodeProcess], None]) -> None:
         """Call `end` with a node's process, or forget a foreign node."""
         if node.process is None:
-            self._remove_dead(node, "is given up")
+            self._remove_dead(node, NOT_OURS, "was given up")
         else:
             end(node.process)
 

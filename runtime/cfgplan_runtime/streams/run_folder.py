@@ -22,6 +22,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from cfgplan.errors import did_you_mean
+from cfgplan.user_folders import user_folder
 from cfgplan_runtime.errors import RuntimeFaultError
 
 _LONGEST_NAME = 24
@@ -97,8 +98,8 @@ def base_folder() -> Path:
 
     Raises RuntimeFaultError if it is not this user's alone, or if its name is too long for sockets.
     """
-    given = os.environ.get("XDG_RUNTIME_DIR")
-    base = Path(given) / "cfgplan" if given else Path(tempfile.gettempdir()) / f"cfgplan-{os.getuid()}"
+    given = user_folder("XDG_RUNTIME_DIR")
+    base = given / "cfgplan" if given else Path(tempfile.gettempdir()) / f"cfgplan-{os.getuid()}"
     if len(os.fsencode(base)) > _LONGEST_BASE:
         raise RuntimeFaultError(
             f"{base}: too long a name for the run's sockets: set XDG_RUNTIME_DIR to a shorter folder"

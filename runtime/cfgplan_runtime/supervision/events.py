@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Literal, TypeAlias
+
 import msgspec
 
 from cfgplan.domain import Transformation
 from cfgplan_runtime.children.messages import CrossingCounts, Flow, GivenInput, PortCounts, Qualities
 from cfgplan_runtime.children.unit_order import order_digest
 from cfgplan_runtime.streams.element import Moment
+
+End: TypeAlias = Literal["died", "could not start", "refused a transition", "was given up"]
+"""How a unit has ended without being told to; see `UnitDied`."""
 
 
 class Event(msgspec.Struct, frozen=True):
@@ -28,10 +33,21 @@ class UnitActive(Event, frozen=True):
 
 
 class UnitDied(Event, frozen=True):
-    """A unit has ended without being told to, or could not start; `cause` says why."""
+    """A unit has ended without being told to; `cause` says why, and `how` is the verb of the sentence.
+
+    Its process `died`; it `could not start`; its node, which has a lifecycle, `refused a transition` and was killed; or
+    it `was given up` although its process may live: this run has not started it, or can't reach it any more. A unit
+    that was given up is not blamed on its transformation.
+    """
 
     unit: str
     cause: str
+    how: End = "died"
+
+    @property
+    def end(self) -> str:
+        """Its end as the predicate of a sentence."""
+        return f"{self.how}: {self.cause}"
 
 
 class UnitStopped(Event, frozen=True):

@@ -41,7 +41,9 @@ class Actual(Protocol):
     @property
     def feeds(self) -> Mapping[Inlet, wiring.Wire]: ...
     @property
-    def cause_of_death(self) -> Mapping[str, str]: ...
+    def ends(self) -> Mapping[str, str]:
+        """By unit that has ended without being told to: its end, as the predicate of a sentence."""
+
     @property
     def is_abandoned(self) -> bool: ...
     @property
@@ -129,8 +131,7 @@ class Progress:
     def fail_if_dead(self) -> None:
         dead = self.dead()
         if dead:
-            cause = self.actual.cause_of_death.get(dead[0])
-            raise StepFailedError(f"{dead[0]} died" + (f": {cause}" if cause else ""), dead)
+            raise StepFailedError(f"{dead[0]} {self.actual.ends.get(dead[0], 'died')}", dead)
 
 
 class StepFailedError(Exception):

@@ -70,7 +70,8 @@ class Supervisor:
         self.topics: dict[str, str | None] = {}
         self.hosts: dict[str, events.HostJoined | events.HostLost] = {}
         """The last event of each host that the backend reports."""
-        self.cause_of_death: dict[str, str] = {}
+        self.ends: dict[str, str] = {}
+        """By unit that has ended without being told to: its end, as the predicate of a sentence."""
         self.is_ending = False
         self.followers: tuple[Follower, ...] = ()
         self._is_abandoned: Callable[[], bool] = lambda: False
@@ -133,7 +134,7 @@ class Supervisor:
         self._take_hosts(change_set)
         after = updates.environment_after(self.environment, change_set, self.lost_hosts)
         name = id or uuid.uuid4().hex[:12]
-        self.cause_of_death.clear()
+        self.ends.clear()
         self._update_patience = patience or updates.Patience()
         again = self._stopping.keys() & {unit.id for unit in change_set.started}
         ends_s = max((self._stopping[unit].end_s for unit in again), default=self.now()) - self.now()
@@ -393,7 +394,7 @@ class Supervisor:
         self.alive.add(unit.id)
         self.inactive.add(unit.id)
         self.ready.discard(unit.id)
-        self.cause_of_death.pop(unit.id, None)
+        self.ends.pop(unit.id, None)
         self._library[unit.id] = transformation
         self._records[unit.id] = self._new_record(unit, transformation)
         spare = self.spares.take(transformation, unit.host)
@@ -433,8 +434,8 @@ class Supervisor:
             case events.UnitActive(unit):
                 self.activating.discard(unit)
                 return False
-            case events.UnitDied(unit, cause):
-                self.cause_of_death[unit] = cause
+            case events.UnitDied(unit):
+                self.ends[unit] = event.end
                 self._remove_dead(unit)
                 self.environment = self.environment.without_unit(unit)
             case events.UnitStopped(unit):
@@ -519,7 +520,7 @@ class Supervisor:
     def _lose(self, host: str, cause: str) -> None:
         """Forget the units and cold spares on a lost host, and close the wires to its topics."""
         for unit in [unit for unit, record in self._records.items() if record.host == host]:
-            self.cause_of_death[unit] = f"host {host} is gone: {cause}"
+            self.ends[unit] = f"was given up: host {host} is gone: {cause}"
             self._remove_dead(unit)
         self.spares.lose_host(host)
         self.taps.lose_host(host)

@@ -198,10 +198,13 @@ class Attendance:
     def _has_come(self, node: AttendedNode, life: Lifecycle) -> bool:
         """Lead a lifecycle node to its goal. Returns whether it has reached it, and must have its ports now.
 
-        A node that has activated itself is deactivated only if it was reported before.
+        If the goal was changed during a step, the node is led back once the step is done. A node that has activated
+        itself is deactivated only if it was reported before.
         """
         if life.cause:
             self._fail(node, life.cause)
+        elif life.is_changing:
+            return False
         elif life.state != node.goal and (life.state != ACTIVE or node.is_attended):
             life.go(node.goal)
         elif node.waits:
@@ -298,8 +301,8 @@ class Attendance:
             self._host.say("Told", unit=node.unit, text=f"{text} (write false to be told no more)")
         number = self._namesakes(node.name)
         if number > 1 and node.name not in self._ghosts:
-            mend = "name the other one in `source`: `--ros-args -r OWN_NAME:__node:=OTHER_NAME --`"
-            self._host.say("Told", unit=node.unit, text=f"{number} nodes of its process are called {node.name}: {mend}")
+            mend = "end the other one, or name it in `source`: `--ros-args -r OWN_NAME:__node:=OTHER_NAME --`"
+            self._host.say("Told", unit=node.unit, text=f"{number} nodes are called {node.name}: {mend}")
         missing = sorted(set(self._missing(node)) & {port["topic"] for port in node.outputs})
         if missing:
             text = f"{node.name} does not publish {', '.join(missing)}: what is it called in its code (`remap`)?"

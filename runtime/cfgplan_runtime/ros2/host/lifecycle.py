@@ -49,6 +49,11 @@ class Lifecycle:
         host.waiting.watch("client", self._change.handle, self._hear_change)
         host.waiting.watch("client", self._get.handle, self._hear_state)
 
+    @property
+    def is_changing(self) -> bool:
+        """Whether a step is under way, which may lead away from `state`."""
+        return self._next is not None
+
     def go(self, state: int) -> None:
         """Take the next step to a state, unless one is under way or the last one was refused."""
         is_ready = self._change.service_is_ready() and self._get.service_is_ready()
