@@ -30,10 +30,10 @@ class NeededBy(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Lack:
-    """What is missing. Several demands may have the same `words`, `needs`, causes and `note` in common.
+    """The cause for which a demand is not met. Several demands may have `words`, `needs`, causes and `note` in common.
 
-    `words` say it. If it is missed by an input, that is `needed_by`, and `needs` is its tag. `left_out` are
-    transformations that are left out, with the causes; then `words` are empty. `note` ends the sentence.
+    `words` say what is missing. If an input lacks it, `needed_by` is that input and `needs` its tag. If transformations
+    are left out, `left_out` has them with their causes, and `words` are empty. `note` ends the sentence.
     """
 
     words: str = ""
@@ -44,7 +44,7 @@ class Lack:
 
     @property
     def shared(self) -> Lack:
-        """What several demands may have in common."""
+        """The part that several demands may have in common."""
         causes = dict.fromkeys(("", cause) for _, cause in self.left_out)
         return replace(self, needed_by=None, left_out=tuple(causes))
 
@@ -80,10 +80,14 @@ class Reason(str):
         return _made, (self.lack, self.name, self.wanted, self.noun, self.verb)
 
     @property
+    def rest(self) -> str:
+        """The sentence without the subject and its wish, for a row that names them. It may begin with a verb."""
+        return _sentence("", None, [self.lack], 1, sys.maxsize)
+
+    @property
     def fault(self) -> str:
-        """The sentence without the subject and its wish, where the rest is a sentence; else all of it."""
-        is_whole = self.wanted is None or bool(self.lack.left_out)
-        return str(self) if is_whole else _sentence("", None, [self.lack], 1, sys.maxsize)
+        """The `rest` where that is a sentence; else the whole sentence."""
+        return str(self) if self.wanted is None or self.lack.left_out else self.rest
 
     def about(self, noun: str, name: str) -> Reason:
         """Return the same reason with another subject; one without a subject stays as it is."""

@@ -195,7 +195,8 @@ class Parser(argparse.ArgumentParser):
         return known, unknown
 
     def _get_values(self, action: argparse.Action, arg_strings: list[str]) -> Any:
-        if "" in arg_strings and action.nargs != argparse.PARSER:
+        # A command's own arguments are read by its parser.
+        if "" in (arg_strings[:1] if action.nargs == argparse.PARSER else arg_strings):
             raise argparse.ArgumentError(action, _EMPTY)
         return super()._get_values(action, arg_strings)
 
@@ -259,6 +260,8 @@ def parser_of(arguments: Sequence[str]) -> Parser:
     asked = next((each for each in arguments if not each.startswith("-")), None)
     if asked is None:
         return parser_with(())
+    if not asked:
+        raise InputError.of(f"argument COMMAND: {_EMPTY}", mend=_mend_of_arguments(_EMPTY))
     if asked not in VERBS:
         raise InputError.of(f"there is no command `{asked}`", mend=_mend_of_command(asked))
     return parser_with((asked,), (asked,) if asked == arguments[0] else VERBS)

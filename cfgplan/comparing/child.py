@@ -62,11 +62,13 @@ def main() -> None:
 def crash_text(error: Exception) -> str:
     """Return an exception's type, message and place in at most 300 characters.
 
-    The place is the last line outside of cfgplan and Python, if there is one: that of a planner of the user's own.
+    The place is the last line outside of cfgplan, Python and installed packages, if there is one: that of a planner of
+    the user's own. A call that the planner refuses has no place.
     """
     places = extract_tb(error.__traceback__)
     place = next((place for place in reversed(places) if _is_own(place.filename)), places[-1])
-    return f"{type(error).__name__}: {error} ({Path(place.filename).name}, line {place.lineno})"[:300]
+    where = "" if place.filename == __file__ else f" ({Path(place.filename).name}, line {place.lineno})"
+    return f"{type(error).__name__}: {error}{where}"[:300]
 
 
 def _is_own(file: str) -> bool:

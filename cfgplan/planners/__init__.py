@@ -52,8 +52,8 @@ PLANNERS: Mapping[str, Planner] = MappingProxyType(
 def planner_of(planner: str | Planner) -> Planner:
     """Return the registered planner of a name, or the user's own planner: `module:function`, or the function itself.
 
-    Raises InputError for an unknown name. If a planner of the user's own fails, the returned one raises
-    OwnPlannerError.
+    Raises InputError for an unknown name, and OwnPlannerError if the module of the user's own planner raises an
+    exception. If that planner fails, the returned one raises OwnPlannerError.
     """
     if not isinstance(planner, str):
         if (getattr(planner, "__module__", None) or "").startswith(f"{__name__}."):  # as a session's
@@ -69,7 +69,15 @@ def planner_of(planner: str | Planner) -> Planner:
         if file.endswith(".py") and Path(file).stem.isidentifier():
             folder = "" if Path(file).parent == Path() else f", in the folder {Path(file).parent}"
             mend = f"write {Path(file).stem}:{function or 'plan'}{folder}: a module has no ending"
+        elif error.name is not None and not f"{file}.".startswith(f"{error.name}."):
+            mend = f"{file} imports it: correct that line, or install the package"
         raise InputError.of(f"the planner {planner!r} can't be used: {error}", mend=mend) from error
+    except (Exception, SystemExit) as error:
+        raise OwnPlannerError(f"the planner {planner} can't be imported: {_said(error)}") from error
+
+
+def _said(error: BaseException) -> str:
+    return f"{type(error).__name__}: {error}"
 
 
 def function_at(name: str) -> Callable[..., Any]:
@@ -102,8 +110,8 @@ def _own(name: str, function: Planner) -> Planner:
             found = deciding(problem, **how)
         except (InputError, OwnPlannerError, PlannerFaultError):
             raise
-        except Exception as error:
-            raise OwnPlannerError(f"the planner {name} failed: {type(error).__name__}: {error}") from error
+        except (Exception, SystemExit) as error:
+            raise OwnPlannerError(f"the planner {name} failed: {_said(error)}") from error
         if not isinstance(found, Plan):
             mend = "return a cfgplan.Plan, with the status UNKNOWN if none is found"
             raise OwnPlannerError(f"the planner {name} returned {found!r:.60}, not a cfgplan.Plan", mend=mend)

@@ -91,6 +91,8 @@ def test_the_name_of_no_file_and_of_no_host_is_bad_input(run: Run) -> None:
     mend = "write a value (a shell's variable that is not set gives an empty word); cfgplan solve --help tells more"
     assert run("solve", "") == (30, "", f"{told}       {mend}\n")
     assert run("agent", "--name", "").code == 30
+    for words in ([""], ["ctl", ""]):
+        assert "argument COMMAND: it is an empty word\n" in run(*words).err
 
 
 def test_a_name_that_stands_for_something_else_is_told_what_may_stand_there(run: Run, env: Path) -> None:

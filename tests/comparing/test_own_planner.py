@@ -91,6 +91,7 @@ def test_run_takes_it(capsys: pytest.CaptureFixture[str]) -> None:
         (breaks, "failed: ZeroDivisionError: 6 transformations are too many for me", "CFGPLAN_TRACEBACK=1 shows where"),
         (answers_with_a_number, "returned 42, not a cfgplan.Plan", "return a cfgplan.Plan, with the status UNKNOWN"),
         (makes_an_impossible_value, "failed: InvalidValueError: Plan", "CFGPLAN_TRACEBACK=1 shows where"),
+        (leaves, "failed: SystemExit: 2", "CFGPLAN_TRACEBACK=1 shows where"),
         (asks_for_less, "can't be called: got an unexpected keyword argument", "write it as `def plan(problem, *,"),
     ],
 )
@@ -138,6 +139,40 @@ def test_one_in_the_folder_of_the_call_is_found(
     for verb in ("solve", "compare"):
         assert main([verb, LOST, "--planner", "planner_of_this_folder:plan"]) == Exit.OK
         assert "planner_of_this_folder:plan" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("verb", ["solve", "compare"])
+@pytest.mark.parametrize(
+    ("code", "says", "mend"),
+    [
+        ("def plan(problem) pass", "can't be imported: SyntaxError: expected ':'", "CFGPLAN_TRACEBACK=1 shows where"),
+        ("import sys\nsys.exit('no')", "can't be imported: SystemExit: no", "CFGPLAN_TRACEBACK=1 shows where"),
+        ("import no_such_package", "No module named 'no_such_package'", "broken_planner imports it: correct that line"),
+        ("from cfgplan import Plane", "cannot import name 'Plane'", "broken_planner imports it: correct that line"),
+    ],
+)
+def test_a_fault_of_its_module_is_told_as_such(
+    verb: str,
+    code: str,
+    says: str,
+    mend: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """It was called a bug in cfgplan, or a module that is not there."""
+    (tmp_path / "broken_planner.py").write_text(code)
+    monkeypatch.syspath_prepend(tmp_path)
+    assert main([verb, LOST, "--planner", "broken_planner:plan"]) == Exit.BAD_INPUT
+    said = capsys.readouterr().err
+    assert says in said
+    assert mend in said
+    assert "bug in cfgplan" not in said
+
+
+def test_compare_tells_no_line_of_its_own_for_one_that_can_t_be_called() -> None:
+    row = run_one(SMALL.problem, entrant(named(asks_for_less)), LIMITS)
+    assert row.message == "TypeError: asks_for_less() got an unexpected keyword argument 'time_limit_s'"
 
 
 def test_compare_says_why_one_crashed_and_does_not_end_with_0(capsys: pytest.CaptureFixture[str]) -> None:

@@ -153,7 +153,7 @@ def test_the_rest_is_started_where_one_unit_cannot() -> None:
     assert life.met == {"n"}
     assert list(life.reviews[-1].avoided) == ["work"]
     assert life.reviews[-1].unmet["y"] == (
-        "target y wants Y, but needs transformations that are left out for now: work (it keeps failing)"
+        "target y wants Y, but needs transformations that are left out for now: work (after failures)"
     )
 
 

@@ -13,12 +13,13 @@ from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import OldCodeRuns, Perturbed, Report, Reviewed, UnitEvent, WorldRefused
 from cfgplan_runtime.operating.operation import Operation, Settings
 from cfgplan_runtime.operating.sources import Sources
-from cfgplan_runtime.supervision.events import UnitReady
+from cfgplan_runtime.supervision.events import HostLost, UnitReady
 from operated_world import PATIENCE_S, UNITS, await_event, eventually, running, write_world
 
 from cfgplan import api
 from cfgplan.cli import main
 from cfgplan.domain import ComputationUnit, OutputPort, Transformation
+from cfgplan.errors import Fault
 
 BROKEN = "import nosuchmodule\n" + UNITS
 AT_DETECTORS = "detectors.py:1:8: it imports nosuchmodule, which is not there"
@@ -198,6 +199,71 @@ def test_code_that_is_as_it_was_again_is_no_other_code(tmp_path: Path) -> None:
     sources.hear(UnitEvent(UnitReady("count.2", 10)))
     assert units_with_other_code_than(code + "\n\n") == ("count.1", "count.2")
     assert units_with_other_code_than(code) == ("count.2",)
+
+
+def test_units_with_old_code_are_told_beside_a_fault_in_the_same_file(tmp_path: Path) -> None:
+    """A fault of one transformation hid that the units of the others run with the code from before."""
+    file, code = tmp_path / "units.py", "def count():\n    yield 0\n"
+    library = tuple(
+        Transformation(name, outputs=(OutputPort("n", name),), source=f"units.py:{name}") for name in ("count", "sum")
+    )
+    running = [ComputationUnit("count.1", "count"), ComputationUnit("sum.1", "sum")]
+    said = list[tuple[str, tuple[str, ...]]]()
+    faulty = {"sum"}
+    sources = Sources(
+        tmp_path,
+        lambda one, _: Fault("the file has no sum") if one.label in faulty else None,
+        library=lambda: library,
+        running=lambda: running,
+        request=lambda _: None,
+        tell=lambda _: None,
+        tell_old=lambda file, units: said.append((file, units)),
+    )
+    file.write_text(code)
+    sources.look_at(library)
+    for unit in running:
+        sources.hear(UnitEvent(UnitReady(unit.id, 10)))
+
+    def edit(text: str) -> None:
+        file.write_text(text)
+        sources._hear(frozenset({file}))
+
+    edit(code + "\n")
+    assert said.pop() == ("units.py", ("count.1",)), "sum.1 can't be replaced yet"
+    faulty.add("count")
+    edit(code + "\n\n")
+    assert said == [], "the faults say so"
+    faulty.remove("sum")
+    edit(code + "\n")
+    assert said.pop() == ("units.py", ("count.1", "sum.1")), "both still run with it"
+    assert said == []
+
+
+def test_units_of_a_lost_host_run_with_no_code(tmp_path: Path) -> None:
+    """The loss of a host is told without an end of each of its units: the warning of old code stayed for ever."""
+    file, code = tmp_path / "units.py", "def count():\n    yield 0\n"
+    one = Transformation("count", outputs=(OutputPort("n", "N"),), source="units.py:count")
+    running, said = [ComputationUnit(f"count.{n}", "count", host=f"r{n}") for n in (1, 2)], list[tuple[str, ...]]()
+    sources = Sources(
+        tmp_path,
+        None,
+        library=lambda: (one,),
+        running=lambda: running,
+        request=lambda _: None,
+        tell=lambda _: None,
+        tell_old=lambda _, units: said.append(units),
+    )
+    file.write_text(code)
+    sources.look_at((one,))
+    for unit in running:
+        sources.hear(UnitEvent(UnitReady(unit.id, 10)))
+    file.write_text(code + "\n")
+    sources._hear(frozenset({file}))
+    for left in (("count.2",), ()):
+        host = running.pop(0).host
+        assert host is not None
+        sources.hear(UnitEvent(HostLost(host, "it does not answer")))
+        assert said[-1] == left
 
 
 def test_a_reloading_run_restarts_what_runs_of_an_edited_file(env: Path) -> None:

@@ -55,13 +55,15 @@ def test_it_names_the_first_unmet_target_by_priority_with_its_reason() -> None:
 
 
 def test_lists_of_the_page_tell_a_reason_once_as_the_terminal_does() -> None:
-    """Each target had the whole sentence, and each copy of a unit that waits had a line."""
+    """Each target had the whole sentence, of which its row had room for the first words, and each copy of a unit that
+    waits had a line.
+    """
     lack = Lack("no output matches", "U", NeededBy("x", "i"))
     views = [TargetView(label, "T", f"/{label}", 0, None, Reason(lack, label, "T")) for label in "cab"]
     waiting = (BackingOff("a", 2, 4.0, "exited with 3"), BackingOff("b", 2, 3.0, "exited with 3"))
     seen = as_seen(snapshot_record(replace(WELL, targets=(*WELL.targets[:1], *views), backing_off=waiting)))
     shown = [(target["label"], target.get("as"), target.get("told")) for target in seen["targets"]]
-    told = "targets a and 2 more want T, but input i of x needs U, and no output matches"
+    told = "input i of x needs U, and no output matches"
     assert shown == [*((label, "a", told) for label in "abc"), (WELL.targets[0].label, None, None)]
     assert [(one["names"], one["says"]) for one in seen["waiting"]] == [
         (("a", "b"), "not started for up to 4 s, failed 2 times: exited with 3")

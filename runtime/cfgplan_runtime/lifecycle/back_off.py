@@ -105,11 +105,11 @@ class BackOffs:
         return frozenset(place for place in self.avoided if place.label == label)
 
     def why_not(self, label: str, host: str | None) -> str | None:
-        """Why a transformation must not be started on a host now; None if it may be. For a refusal its cause."""
+        """Why a transformation must not be started on a host now; None if it may be. A refusal has its own cause."""
         place = next((one for one in (Place(label), Place(label, host)) if one in self.avoided), None)
         if place is None:
             return None
-        return self.records[place].cause if self.records[place].until_s == inf else "it keeps failing"
+        return self.records[place].cause if self.records[place].until_s == inf else "after failures"
 
     def forgiving(self, *labels: str) -> BackOffs:
         """Forget the failures of transformations."""

@@ -12,7 +12,7 @@ from cfgplan.amounts import span
 from cfgplan.domain import ChangeSet
 from cfgplan.onward import grouped
 from cfgplan.summary import some
-from cfgplan.unmet import SharedReason, read_reason, shared_reasons
+from cfgplan.unmet import Reason, SharedReason, read_reason, shared_reasons
 from cfgplan_runtime.errors import UNDONE, RuntimeFaultError
 from cfgplan_runtime.lifecycle.reports import Decision, Review, Snapshot
 
@@ -90,9 +90,9 @@ def unmet_says(unmet: Mapping[str, str]) -> list[str]:
     return [each.text if each.names_them else f"{', '.join(each.labels)}: {each.text}" for each in shared]
 
 
-def target_reason(target: Mapping[str, Any]) -> str:
+def target_reason(target: Mapping[str, Any]) -> Reason:
     """Return the reason in the record of a target, with its data if the record has it (`manual/control.md`)."""
-    return read_reason(target["why"]) if target.get("why") else target["reason"]
+    return read_reason(target["why"]) if target.get("why") else Reason.of(target["reason"])
 
 
 def in_display_order(targets: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:

@@ -19,7 +19,7 @@ from cfgplan_runtime.lifecycle.changes import FaultyCode, RestartUnits
 from cfgplan_runtime.lifecycle.file_watch import FileWatch
 from cfgplan_runtime.lifecycle.reports import Report, UnitEvent
 from cfgplan_runtime.lifecycle.review_sentences import named
-from cfgplan_runtime.supervision.events import UnitDied, UnitReady, UnitStopped
+from cfgplan_runtime.supervision.events import HostLost, UnitDied, UnitReady, UnitStopped
 
 SourceCheck: TypeAlias = Callable[[Transformation, Path], Fault | None]
 """What keeps units of a transformation from being started, by its source; files are relative to the folder."""
@@ -79,15 +79,22 @@ class Sources(FileWatch):
         """By file: the units that run with the code from before, if there are any."""
 
     def hear(self, report: Report) -> None:
-        """Listen to a manager: note the code of a unit that has started."""
+        """Listen to a manager: note the code of a unit that has started, and which units have ended."""
         match report:
             case UnitEvent(UnitReady(unit)):
                 self._started[unit] = self._digests
             case UnitEvent(UnitDied(unit) | UnitStopped(unit)):
-                self._started.pop(unit, None)
-                with self._old_lock:
-                    for file, units in [(file, units) for file, units in self._old.items() if unit in units]:
-                        self._note_old(file, tuple(other for other in units if other != unit))
+                self._forget({unit})
+            case UnitEvent(HostLost()):
+                self._forget(self._started.keys() - {unit.id for unit in self._running()})
+
+    def _forget(self, ended: Collection[str]) -> None:
+        for unit in ended:
+            self._started.pop(unit, None)
+        with self._old_lock:
+            for file, units in list(self._old.items()):
+                if not set(units).isdisjoint(ended):
+                    self._note_old(file, tuple(unit for unit in units if unit not in ended))
 
     def look_at(self, library: Sequence[Transformation], changed: Collection[str] = ()) -> None:
         """Look at all sources of a library. `changed` are the labels whose files have changed."""
@@ -142,14 +149,20 @@ class Sources(FileWatch):
         if labels:
             self.look_at(library, [label for each in labels.values() for label in each])
         for path, of_file in sorted(labels.items()):
-            now = digest_of(path)
-            if self._faults.keys() & {*of_file}:
+            now, name = digest_of(path), self._name(path)
+            if self._faults.keys() >= {*of_file}:
                 continue
             with self._old_lock:  # a unit that ends meanwhile is heard of after this
-                known = [unit.id for unit in self._running() if unit.transformation in of_file and not unit.standby]
-                units = [unit for unit in known if self._started.get(unit, {}).get(path) != now]
+                known = [unit for unit in self._running() if unit.transformation in of_file and not unit.standby]
+                # A fault is told by itself, and its code can't be started instead.
+                told = {unit.id for unit in known if unit.transformation not in self._faults} | {
+                    *self._old.get(name, ())
+                }
+                units = [
+                    unit.id for unit in known if unit.id in told and self._started.get(unit.id, {}).get(path) != now
+                ]
                 if not (units and self._reloads):
-                    self._note_old(self._name(path), tuple(units))
+                    self._note_old(name, tuple(units))
                     continue
             self._say(f"{path.name} has changed: {named(units)} {'is' if len(units) == 1 else 'are'} restarted")
             self._request(RestartUnits(tuple(units), path.name))

@@ -114,7 +114,7 @@ function ofTargets(node, targets) {
   const unmet = targets.filter((target) => !target.met), isGroup = node.kind === "targets";
   const name = isGroup ? `${counted(targets.length, "target")}${unmet.length ? " not met" : ""}` : node.title;
   const hz = targets.reduce((most, target) => Math.max(most, target.rate_hz || 0), 0);
-  const figure = unmet.length ? (isGroup ? "press to unfold" : unmet[0].reason || "not met") : hz ? rate(hz) : "nothing yet";
+  const figure = unmet.length ? (isGroup ? "press to unfold" : unmet[0].told || "not met") : hz ? rate(hz) : "nothing yet";
   return [`${unmet.length ? "✗" : "✓"} ${name}`, figure, `${name}: ${unmet.length ? [...new Set(unmet.map((target) => target.told))].join("; ") : "met"}`, unmet.length ? "unmet" : "met"];
 }
 // Cuts the middle of a text, as ends of names tell them apart.

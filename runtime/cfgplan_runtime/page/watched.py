@@ -17,7 +17,7 @@ from typing import Any
 from cfgplan.unmet import SharedReason
 from cfgplan_runtime.errors import ControlError
 from cfgplan_runtime.lifecycle.kinds import Shown, kind_named
-from cfgplan_runtime.lifecycle.review_sentences import in_display_order, reasons_by_target, waiting
+from cfgplan_runtime.lifecycle.review_sentences import in_display_order, reasons_by_target, target_reason, waiting
 from cfgplan_runtime.operating.control_client import Control
 from cfgplan_runtime.operating.protocol import Record, RefusedError
 from cfgplan_runtime.page.health import health
@@ -31,8 +31,6 @@ REFRESH_S = 0.5
 _MOST_NEWS = 300
 _MOST_WAITING = 200
 """The most messages that wait for a viewer; older ones are dropped."""
-_MOST_IN_ROW = 1
-"""The most targets and inputs that a row names, so that it has room for the cause."""
 _RUN_S = 10.0
 _REVIEWED_S = 80.0
 """Seconds that a change may take: it is answered when its review is over."""
@@ -227,7 +225,7 @@ def as_seen(state: Record) -> Record:
         for unit in state["units"]
     ]
     targets = in_display_order(state["targets"])
-    reasons = reasons_by_target(targets, _MOST_IN_ROW)
+    reasons = reasons_by_target(targets)
     return {
         **state,
         "targets": [_target(target, reasons.get(target["label"])) for target in targets],
@@ -239,5 +237,7 @@ def as_seen(state: Record) -> Record:
 
 
 def _target(target: Mapping[str, Any], reason: SharedReason | None) -> Record:
-    """Add what lists show of an unmet target: `told`, its reason, and `as`, the first target that has it."""
-    return {**target} if reason is None else {**target, "told": reason.text, "as": reason.labels[0]}
+    """Add two values to the record of an unmet target: `told`, its reason for a row that names the target already, and
+    `as`, the first target that has this reason.
+    """
+    return {**target} if reason is None else {**target, "told": target_reason(target).rest, "as": reason.labels[0]}
