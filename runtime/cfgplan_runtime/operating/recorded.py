@@ -22,7 +22,7 @@ OWN_TOPICS = "/cfgplan/"
 """Begins the topics of a run's own events and reviews, which are no streams."""
 ENVIRONMENT, ONTOLOGY = "environment.yaml", "ontology.ofn"
 """The attachments with the recorded run's environment and ontology."""
-_MAGIC = b"\x89MCAP0\r\n"
+_MCAP_MAGIC = b"\x89MCAP0\r\n"
 """The first and the last bytes of a recording."""
 _MEND = "a recording of `cfgplan run --record` is needed"
 _RECOVER = "save what can be read: `mcap recover FILE` (https://mcap.dev/guides/cli)"
@@ -175,7 +175,7 @@ def _opened(path: Path) -> Iterator[McapReader]:
         raise InputError.of(f"this is {found}, not a file", file=str(path), mend=_MEND)
     try:
         with path.open("rb") as file:
-            if file.read(len(_MAGIC)) != _MAGIC:
+            if file.read(len(_MCAP_MAGIC)) != _MCAP_MAGIC:
                 raise InputError.of("this is not a recording", file=str(path), mend=_MEND)
             file.seek(0)
             yield make_reader(file, validate_crcs=True)
@@ -196,5 +196,5 @@ def _opened(path: Path) -> Iterator[McapReader]:
 
 def _has_end(path: Path) -> bool:
     with path.open("rb") as file:
-        file.seek(max(0, path.stat().st_size - len(_MAGIC)))
-        return file.read() == _MAGIC
+        file.seek(max(0, path.stat().st_size - len(_MCAP_MAGIC)))
+        return file.read() == _MCAP_MAGIC
