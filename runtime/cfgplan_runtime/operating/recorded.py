@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 from base64 import b64decode
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -170,6 +171,8 @@ def _opened(path: Path) -> Iterator[McapReader]:
     needed("recordings", "mcap")
     from mcap.reader import make_reader
 
+    if not os.path.lexists(path):  # also for a name that no file can have
+        raise InputError.of("there is no such file", file=str(path), mend="check the path")
     if path.exists() and not path.is_file():
         found = "a folder" if path.is_dir() else "a pipe or a device"
         raise InputError.of(f"this is {found}, not a file", file=str(path), mend=_MEND)
@@ -181,8 +184,6 @@ def _opened(path: Path) -> Iterator[McapReader]:
             yield make_reader(file, validate_crcs=True)
     except InputError:
         raise
-    except FileNotFoundError:
-        raise InputError.of("there is no such file", file=str(path), mend="check the path") from None
     except Exception as error:  # mcap checks little: a damaged file raises whatever its bytes lead to
         if isinstance(error, OSError) and error.errno != errno.EINVAL:  # EINVAL: it seeks to a place before the file
             raise InputError.of(f"can't be read: {error.strerror}", file=str(path)) from None
