@@ -181,7 +181,7 @@ def _refusal(owner: str, name: str, kind: _Kind, misfit: _MisfitError) -> Invali
 
 
 def unsuitable(owner: str, name: str, wanted: str, value: object) -> InvalidValueError:
-    """Return the error for an argument that has no annotation of its own: `owner` takes only what is `wanted`."""
+    """Return the error for a wrong argument of `owner` that no annotation checks; `wanted` says what it takes."""
     return InvalidValueError(f"{owner}: {name} must be {wanted}, but is {_shown(value)}")
 
 

@@ -303,9 +303,9 @@ class PlannerFaultError(CfgplanError):
 
 
 class OwnPlannerError(CfgplanError):
-    """A user's planner raised an exception that it must not, which is the cause, or returned no `Plan`.
+    """A user's planner, or its module, raised an exception that it must not (the cause), or it returned no `Plan`.
 
-    `text` says which of both, `mend` how to correct it.
+    `text` says which, and `mend` how to correct it.
     """
 
     def __init__(self, text: str, *, mend: str = "CFGPLAN_TRACEBACK=1 shows where") -> None:

@@ -278,9 +278,9 @@ def _is_fed_by(
 
 
 class _DeadEnds:
-    """What is missing where nothing in `possible`, the startable transformations of an environment, can feed a demand.
+    """The causes for which nothing in `possible`, the startable transformations of an environment, can feed a demand.
 
-    Transformations that the environment's library omits are missing if the demand could be fed with them.
+    If transformations that the environment's library omits could feed it, these are the cause.
     """
 
     def __init__(self, environment: Environment, similarity: Similarity, possible: frozenset[str]) -> None:

@@ -45,7 +45,7 @@ MOST_SAID = 4000
 CALLED = "called"
 """The first line that the process of a run writes: the planner's time begins."""
 START_S = 120.0
-"""Seconds that the process of a run has to import its modules, which is no time of the planner."""
+"""Seconds that the process of a run has for its imports; they do not count as the planner's time."""
 _WATCH_S = 0.2
 """Seconds between two looks at a process."""
 CHILD = (sys.executable, "-m", "cfgplan.comparing.child")
@@ -96,8 +96,7 @@ class Limits:
     """The limits of a run.
 
     The planner gets `time_limit_s` seconds, from its call on; `grace_s` seconds later (time for the last step and the
-    judge) its process is killed. `memory_mb` limits the address space. Raises InvalidValueError if not
-    positive.
+    judge) its process is killed. `memory_mb` limits the address space. Raises InvalidValueError if not positive.
     """
 
     time_limit_s: float = 10.0
@@ -199,7 +198,7 @@ def _answer(entrant: Entrant, limits: Limits, problem: str) -> tuple[list[Point]
 def _run_process(task: Mapping[str, Any], limit_s: float) -> tuple[str, str, int | None]:
     """Return the output, the errors and the exit code of a child.
 
-    It has no code if it had to be killed: `START_S` seconds after its start, or `limit_s` after the planner's call.
+    The code is None if the child was killed: `START_S` seconds after its start, or `limit_s` after the planner's call.
     """
     process = _started()
     given: str | None = json.dumps(task)

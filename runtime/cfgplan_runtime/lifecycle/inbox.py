@@ -37,7 +37,7 @@ class Unusable:
 
 @dataclass(frozen=True, slots=True)
 class OldCode:
-    """These units, perhaps none, run with another code than the one in `file` now."""
+    """The units, perhaps none, that run with other code than `file` has now."""
 
     file: str
     units: tuple[str, ...]

@@ -202,7 +202,7 @@ def refused(transition: Transition, by: str, faults: tuple[Fault, ...]) -> Trans
 
 
 def old_code_found(transition: Transition, file: str, units: tuple[str, ...]) -> Transition:
-    """Report the units that run with the code from before an edit of `file`, and that none does any more.
+    """Report which units run with the code from before an edit of `file`; none if the last of them has ended.
 
     If only some of the reported ones have ended, nothing is reported.
     """

@@ -174,9 +174,7 @@ class Manager:
         self._put(Unusable(by, faults))
 
     def note_old_code(self, file: str, units: tuple[str, ...]) -> None:
-        """Report that these `units` run with another code than the one in `file` now; without any, that none does any
-        more.
-        """
+        """Report the `units` that run with other code than `file` has now; an empty tuple says that none does."""
         self._put(OldCode(file, units))
 
     def listen(self, listener: Callable[[Report], None]) -> None:

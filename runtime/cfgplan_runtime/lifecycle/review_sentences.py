@@ -119,7 +119,7 @@ class Waiting:
 
 
 def waiting(backing_off: Iterable[Mapping[str, Any]]) -> list[Waiting]:
-    """Return what waits, from the records of a state (`manual/control.md`); each cause is told once."""
+    """Return the transformations that wait, grouped by cause, from records of a state (`manual/control.md`)."""
     alike = grouped(((one["left_s"] is None, short(one["cause"])), one) for one in backing_off)
     return [_waiting(these, cause, until_changed=until_changed) for (until_changed, cause), these in alike.items()]
 

@@ -10,7 +10,7 @@ from cfgplan_runtime.streams.ends import Ends
 from cfgplan_runtime.supervision import events
 
 NOT_OURS = "this run has not started its process, and can't end it"
-"""The cause of an end that only this run counts as one."""
+"""The cause for giving up a unit whose process goes on without this run."""
 
 
 class WatchedProcesses:

@@ -44,10 +44,11 @@ class Sources(FileWatch):
 
     `library` and `running` return the transformations and the running units. `check` finds the fault of a source; with
     None no code is checked, since other computers have it. `request` is called when the set of transformations that can
-    be started changes, `tell` with each new fault, and `tell_old` with a file that has changed and the units that run
-    with the code from before, again when there are fewer. Modules with dotted names are watched if they are found;
-    imports of unit code are not. If it `reloads`, it requests a restart of units whose code has changed. The user has
-    already seen the faults in `told`, by label. Let it `hear` the manager, to know with which code units have started.
+    be started changes, `tell` with each new fault. After an edit of a file, `tell_old` is called with the file and the
+    units that run with the code from before, and again when one of these ends. Modules with dotted names are watched if
+    they are found; imports of unit code are not. If it `reloads`, it requests a restart of units whose code has
+    changed. The user has already seen the faults in `told`, by label. Let it `hear` the manager, to know with which
+    code units have started, and which have ended.
     """
 
     def __init__(

@@ -118,8 +118,8 @@ class SetUp:
 
 @dataclass(frozen=True, slots=True)
 class Noted:
-    """An event that affects the answer, such as a unit that died, or a value without the needed field. In the latter
-    case, a condition `is_unknown`.
+    """An event that affects the answer, such as a unit that died. A condition `is_unknown` for the answer if a value
+    lacks a needed field.
     """
 
     text: str

@@ -74,7 +74,7 @@ class _UnitNode:
     is_deactivating: bool = False
     """Whether it is deactivated before it ends."""
     verdict: tuple[str, events.End] | None = None
-    """The cause for which it is killed, and how that is told."""
+    """The cause for which the run kills it, and the verb of the report."""
 
 
 class Ros2Backend:

@@ -35,9 +35,9 @@ class UnitActive(Event, frozen=True):
 class UnitDied(Event, frozen=True):
     """A unit has ended without being told to; `cause` says why, and `how` is the verb of the sentence.
 
-    Its process `died`; it `could not start`; its node, which has a lifecycle, `refused a transition` and was killed; or
-    it `was given up` although its process may live: this run has not started it, or can't reach it any more. A unit
-    that was given up is not blamed on its transformation.
+    A unit `died` if its process has ended, and `could not start` if that was before it was ready. A node with a
+    lifecycle that `refused a transition` was killed. A unit `was given up` if the run has not started it, or can't
+    reach it any more; its process may live, and its transformation gets no blame.
     """
 
     unit: str
