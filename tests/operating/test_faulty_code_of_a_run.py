@@ -13,7 +13,7 @@ from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import OldCodeRuns, Perturbed, Report, Reviewed, UnitEvent, WorldRefused
 from cfgplan_runtime.operating.operation import Operation, Settings
 from cfgplan_runtime.operating.sources import Sources
-from cfgplan_runtime.supervision.events import UnitReady
+from cfgplan_runtime.supervision.events import HostLost, UnitReady
 from operated_world import PATIENCE_S, UNITS, await_event, eventually, running, write_world
 
 from cfgplan import api
@@ -198,6 +198,9 @@ def test_code_that_is_as_it_was_again_is_no_other_code(tmp_path: Path) -> None:
     sources.hear(UnitEvent(UnitReady("count.2", 10)))
     assert units_with_other_code_than(code + "\n\n") == ("count.1", "count.2")
     assert units_with_other_code_than(code) == ("count.2",)
+    running.pop()
+    sources.hear(UnitEvent(HostLost("attic", "no sign of life")))
+    assert said[1:] == [("units.py", ())], "the units of a lost host get no UnitDied of their own"
 
 
 def test_a_reloading_run_restarts_what_runs_of_an_edited_file(env: Path) -> None:

@@ -19,7 +19,7 @@ from cfgplan_runtime.lifecycle.changes import FaultyCode, RestartUnits
 from cfgplan_runtime.lifecycle.file_watch import FileWatch
 from cfgplan_runtime.lifecycle.reports import Report, UnitEvent
 from cfgplan_runtime.lifecycle.review_sentences import named
-from cfgplan_runtime.supervision.events import UnitDied, UnitReady, UnitStopped
+from cfgplan_runtime.supervision.events import HostLost, UnitDied, UnitReady, UnitStopped
 
 SourceCheck: TypeAlias = Callable[[Transformation, Path], Fault | None]
 """What keeps units of a transformation from being started, by its source; files are relative to the folder."""
@@ -85,9 +85,10 @@ class Sources(FileWatch):
                 self._started[unit] = self._digests
             case UnitEvent(UnitDied(unit) | UnitStopped(unit)):
                 self._started.pop(unit, None)
-                with self._old_lock:
-                    for file, units in [(file, units) for file, units in self._old.items() if unit in units]:
-                        self._note_old(file, tuple(other for other in units if other != unit))
+                self._forget_old(lambda one: one == unit)
+            case UnitEvent(HostLost()):  # its units get no `UnitDied` of their own
+                running = {one.id for one in self._running()}
+                self._forget_old(lambda one: one not in running)
 
     def look_at(self, library: Sequence[Transformation], changed: Collection[str] = ()) -> None:
         """Look at all sources of a library. `changed` are the labels whose files have changed."""
@@ -156,6 +157,14 @@ class Sources(FileWatch):
 
     def _name(self, path: Path) -> str:
         return str(path.relative_to(self._folder)) if path.is_relative_to(self._folder) else str(path)
+
+    def _forget_old(self, has_ended: Callable[[str], bool]) -> None:
+        """Report for which files fewer units run with the code from before."""
+        with self._old_lock:
+            for file, units in [*self._old.items()]:
+                left = tuple(unit for unit in units if not has_ended(unit))
+                if left != units:
+                    self._note_old(file, left)
 
     def _note_old(self, file: str, units: tuple[str, ...]) -> None:
         """Report which units run with the code from before, if any do or did."""
