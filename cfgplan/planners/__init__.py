@@ -56,7 +56,7 @@ def planner_of(planner: str | Planner) -> Planner:
     OwnPlannerError.
     """
     if not isinstance(planner, str):
-        if (getattr(planner, "__module__", None) or "").startswith(f"{__name__}."):  # as a session's
+        if _is_of_cfgplan(planner):
             return _deciding(lambda: planner)
         return _own(f"{planner.__module__}:{planner.__qualname__}" if hasattr(planner, "__qualname__") else "", planner)
     if ":" not in planner:
@@ -70,6 +70,12 @@ def planner_of(planner: str | Planner) -> Planner:
             folder = "" if Path(file).parent == Path() else f", in the folder {Path(file).parent}"
             mend = f"write {Path(file).stem}:{function or 'plan'}{folder}: a module has no ending"
         raise InputError.of(f"the planner {planner!r} can't be used: {error}", mend=mend) from error
+
+
+def _is_of_cfgplan(planner: Planner) -> bool:
+    """Return whether a planner's code is cfgplan's, as that of a session. `functools.wraps` copies `__module__`."""
+    module = getattr(planner, "__globals__", {}).get("__name__", "")
+    return f"{module}.".startswith(f"{__name__}.")
 
 
 def function_at(name: str) -> Callable[..., Any]:
