@@ -86,8 +86,8 @@ def test_a_planner_that_wraps_one_of_cfgplan_is_its_author_s_own() -> None:
     """`functools.wraps` gives it the module's name of cfgplan's planner: its faults were told as cfgplan's."""
 
     @wraps(exhaustive.plan)
-    def broken(_problem: Problem, **_: object) -> Plan:
-        raise ZeroDivisionError
+    def broken(problem: Problem, **_: object) -> Plan:
+        raise ZeroDivisionError(f"{len(problem.environment.library)} are too many")
 
     with pytest.raises(OwnPlannerError, match="failed: ZeroDivisionError"):
         cfgplan.plan(cfgplan.match(cfgplan.load(LOST)), planner=broken)
