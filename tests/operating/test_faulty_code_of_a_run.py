@@ -203,6 +203,31 @@ def test_code_that_is_as_it_was_again_is_no_other_code(tmp_path: Path) -> None:
     assert said[1:] == [("units.py", ())], "the units of a lost host get no UnitDied of their own"
 
 
+def test_a_reloading_run_restarts_nothing_if_no_unit_has_other_code(tmp_path: Path) -> None:
+    file, one = tmp_path / "units.py", Transformation("count", outputs=(OutputPort("n", "N"),), source="units.py:count")
+    said, asked = list[str](), list[object]()
+    sources = Sources(
+        tmp_path,
+        None,
+        library=lambda: (one,),
+        running=lambda: (ComputationUnit("count.1", "count"),),
+        request=asked.append,
+        tell=said.append,
+        tell_old=lambda file, units: said.append(f"{file}: {units}"),
+        reloads=True,
+    )
+    for text, restarted in (("a", []), ("b", [RestartUnits(("count.1",), "units.py")])):
+        file.write_text("a")
+        sources.look_at((one,))
+        sources.hear(UnitEvent(UnitReady("count.1", 10)))
+        said.clear()
+        asked.clear()
+        file.write_text(text)
+        sources._hear(frozenset({file}))
+        assert [each for each in asked if isinstance(each, RestartUnits)] == restarted
+        assert said == ["units.py has changed: count.1 is restarted"] * len(restarted)
+
+
 def test_a_reloading_run_restarts_what_runs_of_an_edited_file(env: Path) -> None:
     with running("--reload", env) as run:
         first = {one["id"] for one in await_event(run, "Reviewed", decision="applied")["change_set"]["started"]}
