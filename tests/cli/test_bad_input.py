@@ -132,9 +132,9 @@ def test_all_that_is_wrong_with_programs_is_told_before_anything_is_started(
     monkeypatch.chdir(path.parent)
     result = run("run", path.name)
     assert result.code == 30
-    assert "a: there is no file ./absent" in result.err
+    assert f"{path.name}:3:38: a can't be started: absent: there is no file ./absent" in result.err
     assert "files are relative to the environment file" in result.err
-    assert f"{path.name}: b: source `program:'`" in result.err
+    assert "b can't be started: source `program:'`: No closing quotation" in result.err
     assert "Traceback" not in result.err
 
 

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from cfgplan.cli.main import VERBS, parser_with
 from cfgplan.cli.screen import json_line
+from cfgplan.errors import InputError
 
 BREAKS = "\n\r\v\f\x1c\x1d\x1e\x85\u2028\u2029"
 """The characters at which `str.splitlines` splits."""
@@ -50,6 +51,20 @@ def values(out: str) -> list[Any]:
     return [json.loads(line, parse_constant=refuse) for line in out.splitlines()]
 
 
+def refused(option: argparse.Action) -> list[str]:
+    """The words that are no value of an option; the empty one is never a value."""
+    return [word for word in BAD_NUMBERS if not word or not is_value(option, word)]
+
+
+def is_value(option: argparse.Action, word: str) -> bool:
+    try:
+        if callable(option.type):
+            option.type(word)
+    except (argparse.ArgumentTypeError, InputError, TypeError, ValueError):
+        return False
+    return True
+
+
 @st.composite
 def bad_commands(draw: st.DrawFn) -> list[str]:
     """A command with bad files for its operands, or with an option that is unknown or has a bad value."""
@@ -58,9 +73,9 @@ def bad_commands(draw: st.DrawFn) -> list[str]:
     operands = [each for each in parser._actions if not each.option_strings]
     valued = [each for each in parser._actions if each.option_strings and each.nargs is None]
     words = [draw(st.sampled_from(BAD_FILES)) for each in operands if each.required or draw(st.booleans())]
-    bad = {each.option_strings[-1]: BAD_NUMBERS if callable(each.type) else [""] for each in valued}
-    options = draw(st.lists(st.sampled_from(["--bogus", *bad]), max_size=2))
-    words += [f"{option}={draw(st.sampled_from(bad.get(option, BAD_NUMBERS)))}" for option in options]
+    bad = {"--bogus": BAD_NUMBERS, **{each.option_strings[-1]: refused(each) for each in valued}}
+    options = draw(st.lists(st.sampled_from([*bad]), max_size=2))
+    words += [f"{option}={draw(st.sampled_from(bad[option]))}" for option in options]
     return [*command, "--json", *(words or ["--bogus"])]
 
 

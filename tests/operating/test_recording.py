@@ -172,7 +172,9 @@ def test_elements_and_reports_of_a_run_are_recorded(tmp_path: Path) -> None:
     for topic, _, _, content in read(tmp_path / "a.mcap"):
         by_topic.setdefault(topic, []).append(content)
     assert by_topic["/result"] == [{"x": 1}]
-    assert by_topic["/cfgplan/events"] == [{"kind": "UnitDied", "unit": "detector.1", "cause": "exited with 3"}]
+    assert by_topic["/cfgplan/events"] == [
+        {"kind": "UnitDied", "unit": "detector.1", "cause": "exited with 3", "how": "died"}
+    ]
     (review,) = by_topic["/cfgplan/reviews"]
     assert (review["decision"], review["cost_us"]) == ("applied", 2_000_000)
     ((unit,),) = [units["units"] for units in by_topic["/cfgplan/units"]]

@@ -117,6 +117,7 @@ def test_what_happens_to_a_unit_on_a_host_is_told_with_its_host() -> None:
         "kind": "UnitDied",
         "unit": "detector.1",
         "cause": "killed by SIGKILL",
+        "how": "died",
         "host": "r2",
     }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 from base64 import b64decode
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -22,7 +23,7 @@ OWN_TOPICS = "/cfgplan/"
 """Begins the topics of a run's own events and reviews, which are no streams."""
 ENVIRONMENT, ONTOLOGY = "environment.yaml", "ontology.ofn"
 """The attachments with the recorded run's environment and ontology."""
-_MAGIC = b"\x89MCAP0\r\n"
+_MCAP_MAGIC = b"\x89MCAP0\r\n"
 """The first and the last bytes of a recording."""
 _MEND = "a recording of `cfgplan run --record` is needed"
 _RECOVER = "save what can be read: `mcap recover FILE` (https://mcap.dev/guides/cli)"
@@ -170,19 +171,19 @@ def _opened(path: Path) -> Iterator[McapReader]:
     needed("recordings", "mcap")
     from mcap.reader import make_reader
 
+    if not os.path.lexists(path):  # also for a name that no file can have
+        raise InputError.of("there is no such file", file=str(path), mend="check the path")
     if path.exists() and not path.is_file():
         found = "a folder" if path.is_dir() else "a pipe or a device"
         raise InputError.of(f"this is {found}, not a file", file=str(path), mend=_MEND)
     try:
         with path.open("rb") as file:
-            if file.read(len(_MAGIC)) != _MAGIC:
+            if file.read(len(_MCAP_MAGIC)) != _MCAP_MAGIC:
                 raise InputError.of("this is not a recording", file=str(path), mend=_MEND)
             file.seek(0)
             yield make_reader(file, validate_crcs=True)
     except InputError:
         raise
-    except FileNotFoundError:
-        raise InputError.of("there is no such file", file=str(path), mend="check the path") from None
     except Exception as error:  # mcap checks little: a damaged file raises whatever its bytes lead to
         if isinstance(error, OSError) and error.errno != errno.EINVAL:  # EINVAL: it seeks to a place before the file
             raise InputError.of(f"can't be read: {error.strerror}", file=str(path)) from None
@@ -196,5 +197,5 @@ def _opened(path: Path) -> Iterator[McapReader]:
 
 def _has_end(path: Path) -> bool:
     with path.open("rb") as file:
-        file.seek(max(0, path.stat().st_size - len(_MAGIC)))
-        return file.read() == _MAGIC
+        file.seek(max(0, path.stat().st_size - len(_MCAP_MAGIC)))
+        return file.read() == _MCAP_MAGIC
