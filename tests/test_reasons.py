@@ -7,8 +7,10 @@ import pickle
 from copy import deepcopy
 from itertools import islice
 
+import msgspec
 import networkx as nx
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -228,6 +230,21 @@ def test_reasons_of_other_kinds_are_shared_as_they_are() -> None:
     assert texts(slow) == ["targets x, y ask for delay of at most 5 ms, but the best is 7 ms"]
 
 
+def test_reasons_that_differ_in_any_part_share_no_sentence() -> None:
+    late = Lack("time ran out")
+    parts = [
+        (Reason(late, "x", "A"), Reason(late, "y", "A", verb="asks for")),
+        (Reason(late, "x", "A"), Reason(late, "y", "A", noun="feature")),
+        (Reason(late, "x", "A"), Reason(late, "y")),
+        (Reason(late, "x", "A"), Reason(late, "y", "A").noted(" (left out for now: eye)")),
+        (Reason(late, "x", "A"), Reason(late, "x", "A")),
+        (Reason(Lack("no", "A", NeededBy("one", "in")), "x"), Reason(Lack("no", "B", NeededBy("one", "in")), "y")),
+        (Reason(Lack(left_out=(("eye", "night"),)), "x"), Reason(Lack(left_out=(("eye", "noise"),)), "y")),
+    ]
+    for first, second in parts:
+        assert texts({"x": first, "y": second}) == [str(first), str(second)]
+
+
 def test_a_text_that_only_looks_like_a_reason_is_told_as_it_is() -> None:
     """Sentences were taken apart: a planner's own words became the parts of another sentence."""
     own = {label: f"target {label} wants A, but input one of two needs B, and no output matches" for label in "xy"}
@@ -260,6 +277,46 @@ def test_a_reason_stays_whole_in_plans_copies_other_processes_and_records(whole:
     for kept in (*ways, read_reason(record)):
         assert kept == str(whole)
         assert reason_record(kept) == reason_record(whole) == record
+
+
+def test_only_a_reason_with_a_subject_gets_another_one() -> None:
+    assert (
+        REASONS[0].about("feature", "near")
+        == "feature near wants B, but input in0 of one needs A, and no output matches"
+    )
+    assert REASONS[-1].about("feature", "near") == "its host r1 is gone"
+
+
+def test_the_fault_of_a_reason_is_a_sentence_by_itself() -> None:
+    assert [reason.fault for reason in REASONS] == [
+        "input in0 of one needs A, and no output matches",
+        str(REASONS[1]),
+        "the best is 7 ms (for now)",
+        "target q would have no unit",
+        "its host r1 is gone",
+    ]
+
+
+def test_words_at_the_end_of_a_reason_follow_each_other() -> None:
+    assert Reason(Lack("time ran out"), "q", "A").noted(" (once)").noted(" (twice)").endswith("ran out (once) (twice)")
+
+
+def test_a_sentence_about_many_targets_names_as_many_left_out_transformations_and_three_causes() -> None:
+    labels = [f"eye{n}" for n in range(5)]
+    night = {label: Reason(Lack(left_out=((label, "it is night"),)), label, "A") for label in labels}
+    (told,) = shared_reasons(night)
+    assert (told.text.endswith("eye0, eye1, eye2, eye3, eye4 (it is night)"), told.left_out) == (True, {*labels})
+    (one,) = shared_reasons({"q": Reason(Lack(left_out=tuple((label, f"of {label}") for label in labels)), "q", "A")})
+    assert one.text.endswith("eye0 (of eye0), eye1 (of eye1), eye2 (of eye2) and 2 more")
+    assert one.left_out == {"eye0", "eye1", "eye2"}
+
+
+def test_a_writer_that_knows_only_plain_texts_takes_the_reasons_of_a_plan_as_such() -> None:
+    """msgspec and YAML's safe writer refuse a subclass of str; the page on Python says so."""
+    plan = Plan("own", Status.INFEASIBLE, reasons={"q": REASONS[0]})
+    written = msgspec.json.decode(msgspec.json.encode(plan, enc_hook=str))
+    assert written["reasons"] == {"q": str(REASONS[0])}
+    assert yaml.safe_load(yaml.safe_dump({name: str(why) for name, why in plan.reasons.items()})) == plan.reasons
 
 
 def test_the_left_out_transformations_that_a_sentence_names_are_known() -> None:

@@ -56,7 +56,7 @@ def planner_of(planner: str | Planner) -> Planner:
     exception. If that planner fails, the returned one raises OwnPlannerError.
     """
     if not isinstance(planner, str):
-        if (getattr(planner, "__module__", None) or "").startswith(f"{__name__}."):  # as a session's
+        if _is_of_cfgplan(planner):
             return _deciding(lambda: planner)
         return _own(f"{planner.__module__}:{planner.__qualname__}" if hasattr(planner, "__qualname__") else "", planner)
     if ":" not in planner:
@@ -78,6 +78,12 @@ def planner_of(planner: str | Planner) -> Planner:
 
 def _said(error: BaseException) -> str:
     return f"{type(error).__name__}: {error}"
+
+
+def _is_of_cfgplan(planner: Planner) -> bool:
+    """Return whether a planner's code is cfgplan's, as that of a session. `functools.wraps` copies `__module__`."""
+    module = getattr(planner, "__globals__", {}).get("__name__", "")
+    return f"{module}.".startswith(f"{__name__}.")
 
 
 def function_at(name: str) -> Callable[..., Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from functools import wraps
 from pathlib import Path
 
 import pytest
@@ -73,11 +74,23 @@ def test_it_solves_under_its_own_name(capsys: pytest.CaptureFixture[str]) -> Non
 
 
 @pytest.mark.parametrize(
-    ("planner", "name"), [(PlannerSession().plan, "cpsat"), (exhaustive.plan, "exhaustive")], ids=["session", "oracle"]
+    ("planner", "name"),
+    [(PlannerSession().plan, "cpsat"), (exhaustive.plan, "exhaustive"), (PLANNERS["cpsat"], "cpsat")],
 )
 def test_a_function_of_cfgplan_plans_under_the_name_of_its_planner(planner: Planner, name: str) -> None:
     problem = cfgplan.match(cfgplan.load(LOST))
     assert cfgplan.plan(problem, planner=planner).planner == name
+
+
+def test_a_planner_that_wraps_one_of_cfgplan_is_its_author_s_own() -> None:
+    """`functools.wraps` gives it the module's name of cfgplan's planner: its faults were told as cfgplan's."""
+
+    @wraps(exhaustive.plan)
+    def broken(problem: Problem, **_: object) -> Plan:
+        raise ZeroDivisionError(f"{len(problem.environment.library)} are too many")
+
+    with pytest.raises(OwnPlannerError, match="failed: ZeroDivisionError"):
+        cfgplan.plan(cfgplan.match(cfgplan.load(LOST)), planner=broken)
 
 
 def test_run_takes_it(capsys: pytest.CaptureFixture[str]) -> None:

@@ -201,3 +201,15 @@ def test_targets_that_can_not_be_met_by_themselves_share_their_own_reason() -> N
     found = best_effort(Problem(environment, Similarity({"A": frozenset("A")}), 1), cpsat)
     (told,) = shared_reasons(found.given_up)
     assert told.text == "targets a, b ask for delay of at most 0.3, but the best that any wiring reaches is 1"
+
+
+def test_a_planner_that_gives_no_reason_leaves_its_target_with_one() -> None:
+    def silent(problem: Problem, **how: Any) -> Plan:
+        return replace(cpsat(problem, **how), reasons={})
+
+    delay = QualityAttribute("delay", Better.LOWER, worst=1_000_000)
+    target = Target("a", "A", "/a", quality=(Wish("delay", bound=300_000),))
+    library = (Transformation("camera", outputs=(OutputPort("x", "A"),)),)
+    environment = Environment((), library, (target,), qualities=(delay,))
+    found = best_effort(Problem(environment, Similarity({"A": frozenset("A")}), 1), silent)
+    assert found.given_up == {"a": "target a wants A, but by itself it can't be met"}

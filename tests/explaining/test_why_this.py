@@ -20,8 +20,10 @@ from cfgplan.domain import (
 )
 from cfgplan.explaining import Choice, Why, why_stream, why_transformation, why_unit
 from cfgplan.explaining.what_if import without_transformations
+from cfgplan.explaining.why_words import forced_by
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Plan, Problem, Status
+from cfgplan.unmet import Lack, Reason
 
 many = examples(60)
 cpsat = PLANNERS["cpsat"]
@@ -137,3 +139,13 @@ def test_what_a_target_wants_to_run_serves_it_and_so_does_what_feeds_it() -> Non
     for label in ("camera", "screen"):
         found = why_transformation(problem, cpsat, plan, label)
         assert (found.units, found.targets, found.choice) == ((f"{label}.1",), ("t",), Choice.FORCED)
+
+
+def test_a_brief_answer_names_the_target_unless_it_is_the_only_one_that_is_served() -> None:
+    unmet = Plan("own", Status.INFEASIBLE, reasons={"b": Reason(Lack("no output matches"), "b", "B")})
+    why = Why("camera.1", ("camera.1",), ("b",), (), Choice.FORCED, unmet)
+    whole = "without it, target b wants B, but no output matches"
+    assert forced_by(why) == whole
+    assert forced_by(why, is_brief=True) == "without it, no output matches"
+    assert forced_by(replace(why, targets=("b", "c")), is_brief=True) == whole
+    assert forced_by(replace(why, targets=()), is_brief=True) == whole

@@ -25,7 +25,7 @@ from cfgplan_runtime.lifecycle.changes import (
 )
 from cfgplan_runtime.lifecycle.decisions import BreakIn, breaks_in, decide, first_state
 from cfgplan_runtime.lifecycle.deliberation import Findings, Looked
-from cfgplan_runtime.lifecycle.inbox import Asked, Item, Leave, Unusable
+from cfgplan_runtime.lifecycle.inbox import Asked, Item, Leave, OldCode, Unusable
 from cfgplan_runtime.lifecycle.perturbations import (
     HorizonReached,
     HostBack,
@@ -45,6 +45,7 @@ from cfgplan_runtime.lifecycle.reports import (
     Decision,
     Ended,
     Observed,
+    OldCodeRuns,
     Perturbed,
     ReviewBegan,
     Reviewed,
@@ -206,6 +207,25 @@ def test_nothing_is_changed_in_place() -> None:
     for what in (UnitDied("work.1", "crash"), InputLost("work.1", "x", 1), UnitFailed("work.1", "raised", 1, "bad")):
         decide(state, TimedInput(1.0, what, RUNNING))
     assert repr(state) == before
+
+
+def test_old_code_is_told_when_it_changes_and_when_the_last_of_its_units_has_ended() -> None:
+    steps: list[tuple[OldCode, bool]] = [
+        (OldCode("a.py", ()), False),
+        (OldCode("a.py", ("x.1", "y.1")), True),
+        (OldCode("b.py", ()), False),
+        (OldCode("a.py", ("y.1",)), False),
+        (OldCode("a.py", ("y.1",)), True),
+        (OldCode("b.py", ("z.1",)), True),
+        (OldCode("a.py", ("z.1",)), True),
+        (OldCode("a.py", ()), True),
+        (OldCode("a.py", ()), False),
+    ]
+    state = stable()
+    for found, is_told in steps:
+        state, effects = after(state, 1.0, found)
+        assert list(effects) == ([Tell(OldCodeRuns(found.file, found.units))] if is_told else [])
+    assert state.old_code == {"b.py": ("z.1",)}
 
 
 @pytest.mark.parametrize(

@@ -201,6 +201,31 @@ def test_code_that_is_as_it_was_again_is_no_other_code(tmp_path: Path) -> None:
     assert units_with_other_code_than(code) == ("count.2",)
 
 
+def test_a_reloading_run_restarts_nothing_if_no_unit_has_other_code(tmp_path: Path) -> None:
+    file, one = tmp_path / "units.py", Transformation("count", outputs=(OutputPort("n", "N"),), source="units.py:count")
+    said, asked = list[str](), list[object]()
+    sources = Sources(
+        tmp_path,
+        None,
+        library=lambda: (one,),
+        running=lambda: (ComputationUnit("count.1", "count"),),
+        request=asked.append,
+        tell=said.append,
+        tell_old=lambda file, units: said.append(f"{file}: {units}"),
+        reloads=True,
+    )
+    for text, restarted in (("a", []), ("b", [RestartUnits(("count.1",), "units.py")])):
+        file.write_text("a")
+        sources.look_at((one,))
+        sources.hear(UnitEvent(UnitReady("count.1", 10)))
+        said.clear()
+        asked.clear()
+        file.write_text(text)
+        sources._hear(frozenset({file}))
+        assert [each for each in asked if isinstance(each, RestartUnits)] == restarted
+        assert said == ["units.py has changed: count.1 is restarted"] * len(restarted)
+
+
 def test_units_with_old_code_are_told_beside_a_fault_in_the_same_file(tmp_path: Path) -> None:
     """A fault of one transformation hid that the units of the others run with the code from before."""
     file, code = tmp_path / "units.py", "def count():\n    yield 0\n"

@@ -88,3 +88,8 @@ def test_a_value_that_does_not_suit_is_unknown_and_told_once(text: str, told: st
     assert truth is Verdict.UNKNOWN
     (one,) = heard
     assert told in one
+
+
+def test_a_mapping_without_fields_has_none_to_compare() -> None:
+    truth, (told,) = decide("ball > 3", {"ball": {}})
+    assert (truth, told) == (Verdict.UNKNOWN, "ball > 3 is unknown where a dict and 3.0 are compared by >")

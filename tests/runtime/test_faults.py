@@ -110,6 +110,7 @@ def test_a_unit_that_exits_is_reported_and_takes_nobody_with_it(run_units: Start
     death = seen(runtime, UnitDied)[0]
     assert death.unit == "naughty.1"
     assert part in death.cause
+    assert death.how == "died"
     assert [unit.id for unit in runtime.environment.units] == ["count.1", "work.1"]
 
 
@@ -212,7 +213,11 @@ def test_a_unit_that_eats_memory_harms_nobody_else(run_units: StartRuntime) -> N
 
 
 @pytest.mark.parametrize(
-    ("deed", "part"), [("fail at start", "ValueError: no such camera"), ("die at start", "exit status 3")]
+    ("deed", "part"),
+    [
+        ("fail at start", r"(?s)naughty\.1 could not start: .*ValueError: no such camera"),
+        ("die at start", r"naughty\.1 died: .*exit status 3"),
+    ],
 )
 def test_an_update_whose_unit_can_not_start_is_undone(run_units: StartRuntime, deed: str, part: str) -> None:
     runtime = run_units(source(), worker(), worker("naughty", "Naughty", deed=deed))

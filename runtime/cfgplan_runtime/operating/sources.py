@@ -85,17 +85,11 @@ class Sources(FileWatch):
             case UnitEvent(UnitReady(unit)):
                 self._started[unit] = self._digests
             case UnitEvent(UnitDied(unit) | UnitStopped(unit)):
-                self._forget({unit})
-            case UnitEvent(HostLost()):
-                self._forget(self._started.keys() - {unit.id for unit in self._running()})
-
-    def _forget(self, ended: Collection[str]) -> None:
-        for unit in ended:
-            self._started.pop(unit, None)
-        with self._old_lock:
-            for file, units in list(self._old.items()):
-                if not set(units).isdisjoint(ended):
-                    self._note_old(file, tuple(unit for unit in units if unit not in ended))
+                self._started.pop(unit, None)
+                self._forget_old(lambda one: one == unit)
+            case UnitEvent(HostLost()):  # its units get no `UnitDied` of their own
+                running = {one.id for one in self._running()}
+                self._forget_old(lambda one: one not in running)
 
     def look_at(self, library: Sequence[Transformation], changed: Collection[str] = ()) -> None:
         """Look at all sources of a library. `changed` are the labels whose files have changed."""
@@ -170,6 +164,14 @@ class Sources(FileWatch):
 
     def _name(self, path: Path) -> str:
         return str(path.relative_to(self._folder)) if path.is_relative_to(self._folder) else str(path)
+
+    def _forget_old(self, has_ended: Callable[[str], bool]) -> None:
+        """Report for which files fewer units run with the code from before."""
+        with self._old_lock:
+            for file, units in [*self._old.items()]:
+                left = tuple(unit for unit in units if not has_ended(unit))
+                if left != units:
+                    self._note_old(file, left)
 
     def _note_old(self, file: str, units: tuple[str, ...]) -> None:
         """Report which units run with the code from before, if any do or did."""
