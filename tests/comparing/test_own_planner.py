@@ -17,7 +17,7 @@ from cfgplan.comparing import Limits, RunFailure, entrant, run_one
 from cfgplan.errors import InputError
 from cfgplan.planners import PLANNERS, exhaustive
 from cfgplan.planners.cpsat import PlannerSession
-from cfgplan.planning import OwnPlannerError, Plan, Planner, Problem
+from cfgplan.planning import OwnPlannerError, Plan, Planner, PlannerFaultError, Problem, Status
 from experiments.study.instances import generated
 from experiments.study.plots import write_plots
 from experiments.study.runner import run_one as row_of
@@ -91,6 +91,17 @@ def test_a_planner_that_wraps_one_of_cfgplan_is_its_author_s_own() -> None:
 
     with pytest.raises(OwnPlannerError, match="failed: ZeroDivisionError"):
         cfgplan.plan(cfgplan.match(cfgplan.load(LOST)), planner=broken)
+
+
+def test_the_fault_of_a_planner_that_it_calls_is_told_as_that_planner_s() -> None:
+    fault = PlannerFaultError("a wrong bound", Plan("cpsat", Status.UNKNOWN))
+
+    def calls(problem: Problem, **_: object) -> Plan:
+        raise fault if problem.environment.library else ZeroDivisionError
+
+    with pytest.raises(PlannerFaultError) as raised:
+        cfgplan.plan(cfgplan.match(cfgplan.load(LOST)), planner=calls)
+    assert raised.value is fault
 
 
 def test_run_takes_it(capsys: pytest.CaptureFixture[str]) -> None:
