@@ -219,7 +219,7 @@ def test_a_node_that_somebody_else_runs_is_connected_and_never_stopped(runtime: 
             library = (outside, absent, SHOUTER)
             runtime.apply(ChangeSet(started, added_transformations=library, added_targets=(SHOUT,)))
             next(observer.listen("/shout"))
-            with pytest.raises(ApplyError, match="no such node is there"):
+            with pytest.raises(ApplyError, match="could not start: no node /nobody is there"):
                 runtime.apply(ChangeSet((unit("absent.1"),)))
             runtime.stop()
             assert somebodys.poll() is None
