@@ -122,7 +122,8 @@ def test_launch_files_are_included_before_everything_else_with_their_arguments(e
         ("nosuch.launch.py", "nosuch.launch.py: there is no such launch file to include"),
         ("robot.yaml sim=true", "`sim=true` is not an argument of a launch file"),
         ("'robot", "names no launch file"),
-        ("", "names no launch file"),
+        (" ", "names no launch file"),
+        ("", "--include: it is an empty word"),
     ],
 )
 def test_what_can_not_be_included_is_told(
