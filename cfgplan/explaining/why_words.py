@@ -30,11 +30,13 @@ def why_lines(why: Why) -> Iterator[str]:
 
 def forced_by(why: Why, *, is_brief: bool = False) -> str:
     """Return, in words, the demands that can't be met without the subject. If this is the only target that the subject
-    serves, a brief answer names neither the target nor its tag.
+    serves, and an input of another transformation lacks its feeder, a brief answer names that input alone.
     """
     reasons = why.otherwise.reasons
     if is_brief and len(reasons) == 1 and tuple(reasons) == why.targets:
-        return f"without it, {Reason.of(reasons[why.targets[0]]).fault}"
+        reason = Reason.of(reasons[why.targets[0]])
+        if reason.lack.needed_by is not None:
+            return f"without it, {reason.fault}"
     if reasons:
         return "; ".join(f"without it, {one.text}" for one in shared_reasons(reasons))
     demands = f"{named_labels('target', why.targets)} with the others" if why.targets else "all demands"

@@ -121,7 +121,7 @@ transformations:
 targets: [{label: t, topic: /t, tag: B}]
 """
     out = explained(tmp_path, text, capsys)
-    assert "needed: without it, no output matches" in out
+    assert "needed: without it, target t wants B, but no output matches" in out
     assert "a tie: two would run instead, without one" in out
 
 

@@ -23,7 +23,7 @@ from cfgplan.explaining.what_if import without_transformations
 from cfgplan.explaining.why_words import forced_by
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Plan, Problem, Status
-from cfgplan.unmet import Lack, Reason
+from cfgplan.unmet import Lack, NeededBy, Reason
 
 many = examples(60)
 cpsat = PLANNERS["cpsat"]
@@ -141,11 +141,15 @@ def test_what_a_target_wants_to_run_serves_it_and_so_does_what_feeds_it() -> Non
         assert (found.units, found.targets, found.choice) == ((f"{label}.1",), ("t",), Choice.FORCED)
 
 
-def test_a_brief_answer_names_the_target_unless_it_is_the_only_one_that_is_served() -> None:
-    unmet = Plan("own", Status.INFEASIBLE, reasons={"b": Reason(Lack("no output matches"), "b", "B")})
+def test_a_brief_answer_names_the_target_unless_an_input_is_unfed_and_no_other_target_is_served() -> None:
+    unfed = Lack("no output matches", "A", NeededBy("screen", "in"))
+    unmet = Plan("own", Status.INFEASIBLE, reasons={"b": Reason(unfed, "b", "B")})
     why = Why("camera.1", ("camera.1",), ("b",), (), Choice.FORCED, unmet)
-    whole = "without it, target b wants B, but no output matches"
+    whole = "without it, target b wants B, but input in of screen needs A, and no output matches"
     assert forced_by(why) == whole
-    assert forced_by(why, is_brief=True) == "without it, no output matches"
+    assert forced_by(why, is_brief=True) == "without it, input in of screen needs A, and no output matches"
     assert forced_by(replace(why, targets=("b", "c")), is_brief=True) == whole
     assert forced_by(replace(why, targets=()), is_brief=True) == whole
+    direct = replace(unmet, reasons={"b": Reason(Lack("no output matches"), "b", "B")})
+    whole = "without it, target b wants B, but no output matches"
+    assert forced_by(replace(why, otherwise=direct), is_brief=True) == whole, "`no output matches` would say too little"

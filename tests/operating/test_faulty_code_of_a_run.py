@@ -12,7 +12,7 @@ from cfgplan_runtime.lifecycle.perturbations import CodeChanged
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import OldCodeRuns, Perturbed, Report, Reviewed, UnitEvent, WorldRefused
 from cfgplan_runtime.operating.operation import Operation, Settings
-from cfgplan_runtime.operating.sources import Sources
+from cfgplan_runtime.operating.sources import SourceCheck, Sources
 from cfgplan_runtime.supervision.events import HostLost, UnitReady
 from operated_world import PATIENCE_S, UNITS, await_event, eventually, running, write_world
 
@@ -166,39 +166,57 @@ def test_a_warning_of_old_code_ends_when_the_code_is_changed_back_or_its_units_h
         assert [len(one.units) for one in told] == [len(units), 0, len(units), 0]
 
 
+CODE = "def count():\n    yield 0\n"
+
+
+class Watched:
+    """Sources of which each unit runs with CODE; `told` has the files and units of which old code is told."""
+
+    def __init__(self, folder: Path, running: list[ComputationUnit], check: SourceCheck | None = None) -> None:
+        labels = dict.fromkeys(unit.transformation for unit in running)
+        library = tuple(Transformation(t, outputs=(OutputPort("n", t),), source=f"units.py:{t}") for t in labels)
+        self.running, self.told = running, list[tuple[str, tuple[str, ...]]]()
+        self._file = folder / "units.py"
+        self.sources = Sources(
+            folder,
+            check,
+            library=lambda: library,
+            running=lambda: self.running,
+            request=lambda _: None,
+            tell=lambda _: None,
+            tell_old=lambda file, units: self.told.append((file, units)),
+        )
+        self._file.write_text(CODE)
+        self.sources.look_at(library)
+        for unit in running:
+            self.is_ready(unit.id)
+
+    def is_ready(self, unit: str) -> None:
+        self.sources.hear(UnitEvent(UnitReady(unit, 10)))
+
+    def edit(self, text: str) -> None:
+        self._file.write_text(text)
+        self.sources._hear(frozenset({self._file}))
+
+
 def test_code_that_is_as_it_was_again_is_no_other_code(tmp_path: Path) -> None:
     """A unit that has started in between has the other code."""
-    file, code = tmp_path / "units.py", "def count():\n    yield 0\n"
-    one = Transformation("count", outputs=(OutputPort("n", "N"),), source="units.py:count")
-    running, said = [ComputationUnit("count.1", "count")], list[tuple[str, tuple[str, ...]]]()
-    sources = Sources(
-        tmp_path,
-        None,
-        library=lambda: (one,),
-        running=lambda: running,
-        request=lambda _: None,
-        tell=lambda _: None,
-        tell_old=lambda file, units: said.append((file, units)),
-    )
+    watched = Watched(tmp_path, [ComputationUnit("count.1", "count")])
 
     def units_with_other_code_than(text: str) -> tuple[str, ...] | None:
-        said.clear()
-        file.write_text(text)
-        sources._hear(frozenset({file}))
-        assert {name for name, _ in said} <= {"units.py"}
-        return said[-1][1] if said else None
+        watched.told.clear()
+        watched.edit(text)
+        assert {name for name, _ in watched.told} <= {"units.py"}
+        return watched.told[-1][1] if watched.told else None
 
-    file.write_text(code)
-    sources.look_at((one,))
-    sources.hear(UnitEvent(UnitReady("count.1", 10)))
-    assert units_with_other_code_than(code) is None
-    assert units_with_other_code_than(code + "\n") == ("count.1",)
-    assert units_with_other_code_than(code) == ()
-    assert units_with_other_code_than(code + "\n") == ("count.1",)
-    running.append(ComputationUnit("count.2", "count"))
-    sources.hear(UnitEvent(UnitReady("count.2", 10)))
-    assert units_with_other_code_than(code + "\n\n") == ("count.1", "count.2")
-    assert units_with_other_code_than(code) == ("count.2",)
+    assert units_with_other_code_than(CODE) is None
+    assert units_with_other_code_than(CODE + "\n") == ("count.1",)
+    assert units_with_other_code_than(CODE) == ()
+    assert units_with_other_code_than(CODE + "\n") == ("count.1",)
+    watched.running.append(ComputationUnit("count.2", "count"))
+    watched.is_ready("count.2")
+    assert units_with_other_code_than(CODE + "\n\n") == ("count.1", "count.2")
+    assert units_with_other_code_than(CODE) == ("count.2",)
 
 
 def test_a_reloading_run_restarts_nothing_if_no_unit_has_other_code(tmp_path: Path) -> None:
@@ -228,67 +246,32 @@ def test_a_reloading_run_restarts_nothing_if_no_unit_has_other_code(tmp_path: Pa
 
 def test_units_with_old_code_are_told_beside_a_fault_in_the_same_file(tmp_path: Path) -> None:
     """A fault of one transformation hid that the units of the others run with the code from before."""
-    file, code = tmp_path / "units.py", "def count():\n    yield 0\n"
-    library = tuple(
-        Transformation(name, outputs=(OutputPort("n", name),), source=f"units.py:{name}") for name in ("count", "sum")
-    )
-    running = [ComputationUnit("count.1", "count"), ComputationUnit("sum.1", "sum")]
-    said = list[tuple[str, tuple[str, ...]]]()
     faulty = {"sum"}
-    sources = Sources(
+    watched = Watched(
         tmp_path,
+        [ComputationUnit("count.1", "count"), ComputationUnit("sum.1", "sum")],
         lambda one, _: Fault("the file has no sum") if one.label in faulty else None,
-        library=lambda: library,
-        running=lambda: running,
-        request=lambda _: None,
-        tell=lambda _: None,
-        tell_old=lambda file, units: said.append((file, units)),
     )
-    file.write_text(code)
-    sources.look_at(library)
-    for unit in running:
-        sources.hear(UnitEvent(UnitReady(unit.id, 10)))
-
-    def edit(text: str) -> None:
-        file.write_text(text)
-        sources._hear(frozenset({file}))
-
-    edit(code + "\n")
-    assert said.pop() == ("units.py", ("count.1",)), "sum.1 can't be replaced yet"
+    watched.edit(CODE + "\n")
+    assert watched.told.pop() == ("units.py", ("count.1",)), "sum.1 can't be replaced yet"
     faulty.add("count")
-    edit(code + "\n\n")
-    assert said == [], "the faults say so"
+    watched.edit(CODE + "\n\n")
+    assert watched.told == [], "the faults say so"
     faulty.remove("sum")
-    edit(code + "\n")
-    assert said.pop() == ("units.py", ("count.1", "sum.1")), "both still run with it"
-    assert said == []
+    watched.edit(CODE + "\n")
+    assert watched.told.pop() == ("units.py", ("count.1", "sum.1")), "both still run with it"
+    assert watched.told == []
 
 
 def test_units_of_a_lost_host_run_with_no_code(tmp_path: Path) -> None:
     """The loss of a host is told without an end of each of its units: the warning of old code stayed for ever."""
-    file, code = tmp_path / "units.py", "def count():\n    yield 0\n"
-    one = Transformation("count", outputs=(OutputPort("n", "N"),), source="units.py:count")
-    running, said = [ComputationUnit(f"count.{n}", "count", host=f"r{n}") for n in (1, 2)], list[tuple[str, ...]]()
-    sources = Sources(
-        tmp_path,
-        None,
-        library=lambda: (one,),
-        running=lambda: running,
-        request=lambda _: None,
-        tell=lambda _: None,
-        tell_old=lambda _, units: said.append(units),
-    )
-    file.write_text(code)
-    sources.look_at((one,))
-    for unit in running:
-        sources.hear(UnitEvent(UnitReady(unit.id, 10)))
-    file.write_text(code + "\n")
-    sources._hear(frozenset({file}))
+    watched = Watched(tmp_path, [ComputationUnit(f"count.{n}", "count", host=f"r{n}") for n in (1, 2)])
+    watched.edit(CODE + "\n")
     for left in (("count.2",), ()):
-        host = running.pop(0).host
+        host = watched.running.pop(0).host
         assert host is not None
-        sources.hear(UnitEvent(HostLost(host, "it does not answer")))
-        assert said[-1] == left
+        watched.sources.hear(UnitEvent(HostLost(host, "it does not answer")))
+        assert watched.told[-1] == ("units.py", left)
 
 
 def test_a_reloading_run_restarts_what_runs_of_an_edited_file(env: Path) -> None:
